@@ -181,6 +181,16 @@ def concatenate(lines: Sequence[Polyline]) -> Polyline:
     return Polyline.of(np.vstack([line.xy_m for line in lines]))
 
 
+def stations_m(xy_m: FloatArray) -> FloatArray:
+    """Return the arc length (N,) at each of the points (N, 2), from 0."""
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))))
+
+
+def line_length_m(xy_m: FloatArray) -> float:
+    """Return the length of the line through points (N, 2)."""
+    return float(np.hypot(*np.diff(xy_m, axis=0).T).sum())
+
+
 def without_repeats(xy_m: FloatArray) -> FloatArray:
     """Return the points (N, 2) without those that repeat the one before."""
     return xy_m[kept_points(xy_m)]

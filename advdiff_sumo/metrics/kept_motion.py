@@ -12,6 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
@@ -58,7 +59,7 @@ class DrivenWay:
         there = tracks.valid[row, start:]
         stop = len(there) if there.all() else int(np.argmin(there))
         xy, yaw = tracks.xy_m[row, start : start + stop], np.unwrap(tracks.yaw_rad[row, start : start + stop])
-        s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))))
+        s = stations_m(xy)
         after = np.arange(1.0, _AHEAD_M + 1.0)
         heading = yaw[-1] + _last_turn_per_m(s, yaw) * after
         sign = -1.0 if tracks.speed_mps[row, start + stop - 1] < 0.0 else 1.0

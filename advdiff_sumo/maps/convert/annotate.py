@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
 
@@ -58,7 +58,7 @@ def _with_true_length(match: re.Match[str]) -> str:
     points = np.array(
         [[float(v) for v in point.split(",")[:2]] for point in match["shape"].split()], dtype=np.float64
     )
-    return f"{match[1]}{max(polyline.length(points), SHORTEST_M):.4f}{match[3]}"
+    return f"{match[1]}{max(line_length_m(points), SHORTEST_M):.4f}{match[3]}"
 
 
 def restore_shapes(net: Path, plan: NetPlan) -> int:

@@ -11,6 +11,7 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 
@@ -90,14 +91,14 @@ def _last_edges(edges: Iterable[EdgePlan]) -> dict[int, str]:
 
 def _with_extension(line: FloatArray) -> LineString:
     """Return the last metres of a lane, prolonged straight on."""
-    total = polyline.length(line)
+    total = line_length_m(line)
     last = polyline.cut(line, max(0.0, total - UPSTREAM_M), total)
     along = (line[-1] - line[-2]) / np.hypot(*(line[-1] - line[-2]))
     return LineString(np.vstack((last, line[-1] + NEAR_M * along)))
 
 
 def _ends_in(line: FloatArray, area: BaseGeometry) -> bool:
-    total = polyline.length(line)
+    total = line_length_m(line)
     places = polyline.at(line, np.array([total, max(total - BACK_M, 0.5 * total)]))
     return all(area.contains(Point(place)) for place in places)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.annotate import annotate_net, restore_shapes
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
@@ -285,7 +285,7 @@ def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:
 def _widths(lane: SourceLane) -> FloatArray:
     """Return the width profile of *lane*: as stated, else as measured on its polygon."""
     if lane.width_m is not None:
-        return np.array([[0.5 * polyline.length(lane.centre_m), lane.width_m]])
+        return np.array([[0.5 * line_length_m(lane.centre_m), lane.width_m]])
     return width_profile(lane.centre_m, lane.polygon)
 
 

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry import LineString
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
@@ -49,7 +49,7 @@ def _is_loop(lane: SourceLane, faults: MapFaults) -> bool:
     """Return whether a path turns full circle or ends where it begins."""
     line = lane.centre_m
     yaw = np.unwrap(np.arctan2(*np.diff(line, axis=0).T[::-1]))
-    closed = math.dist(line[0], line[-1]) < MEETS_M and polyline.length(line) > 5.0 * MEETS_M
+    closed = math.dist(line[0], line[-1]) < MEETS_M and line_length_m(line) > 5.0 * MEETS_M
     if not closed and abs(float(yaw[-1] - yaw[0])) < FULL_TURN_RAD:
         return False
     faults.add("paths that run in a circle", f"lane {lane.token!r} runs in a circle and is left out")

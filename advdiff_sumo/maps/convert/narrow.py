@@ -19,6 +19,7 @@ from defusedxml import ElementTree
 from shapely.geometry import LineString, Point
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.annotate import CONNECTION
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
@@ -140,7 +141,7 @@ def _known_conflicts(net: Path) -> set[frozenset[Key]]:
 
 def _turn(way: ConnectionPlan) -> float:
     """Return by how much a way turns, in whole degrees."""
-    start, end = polyline.heading(way.shape_m, np.array([0.0, polyline.length(way.shape_m)]))
+    start, end = polyline.heading(way.shape_m, np.array([0.0, line_length_m(way.shape_m)]))
     return round(float(np.degrees(abs((end - start + np.pi) % (2.0 * np.pi) - np.pi))))
 
 

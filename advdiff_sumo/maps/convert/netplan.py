@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
@@ -51,7 +52,7 @@ class Track:
     @property
     def length_m(self) -> float:
         """Length in m."""
-        return polyline.length(self.centre_m)
+        return line_length_m(self.centre_m)
 
     @property
     def width_m(self) -> float:
@@ -102,7 +103,7 @@ class EdgePlan:
     @property
     def length_m(self) -> float:
         """Mean length of the lanes in m, which is what SUMO holds for all of them."""
-        return float(np.mean([polyline.length(lane.shape_m) for lane in self.lanes]))
+        return float(np.mean([line_length_m(lane.shape_m) for lane in self.lanes]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +256,7 @@ def _connection_plan(
 
 def turn_speed(shape_m: FloatArray) -> float:
     """Return the speed in m/s at which the tightest 8 m of a line take the comfortable sideways acceleration."""
-    total = polyline.length(shape_m)
+    total = line_length_m(shape_m)
     span = min(8.0, total)
     if span < 1.0:
         return math.inf

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-
-
-def stations(line: FloatArray) -> FloatArray:
-    """Return the arc length (N,) of each point in m, from 0."""
-    steps = np.hypot(*np.diff(line, axis=0).T)
-    return np.concatenate(([0.0], np.cumsum(steps)))
-
-
-def length(line: FloatArray) -> float:
-    """Return the length in m."""
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+from advdiff_sumo.core.polylines import line_length_m, stations_m
 
 
 def at(line: FloatArray, s_m: FloatArray | float) -> FloatArray:
     """Return the points (…, 2) at arc lengths *s_m*; outside the line its ends."""
-    s = stations(line)
+    s = stations_m(line)
     return np.stack([np.interp(s_m, s, line[:, 0]), np.interp(s_m, s, line[:, 1])], axis=-1)
 
 
 def heading(line: FloatArray, s_m: FloatArray) -> FloatArray:
     """Return the yaw (M,) in rad of the chord that holds each arc length."""
-    s = stations(line)
+    s = stations_m(line)
     index = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(line) - 2)
     step = line[index + 1] - line[index]
     return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def turns(line: FloatArray) -> FloatArray:
+    """Return by how much (N − 2,) the line turns at each of its inner points, to the left, in rad."""
+    step = np.diff(line, axis=0)
+    yaw = np.arctan2(step[:, 1], step[:, 0])
+    return np.asarray((np.diff(yaw) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 def direction(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -44,7 +43,7 @@ def left_of(along: FloatArray) -> FloatArray:
 
 def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
     """Return the part between two arc lengths, with points exactly there; the ends of the line are kept as is."""
-    s = stations(line)
+    s = stations_m(line)
     if from_m <= 0.0 and to_m >= s[-1]:
         return line
     inner = (s > from_m + 1e-6) & (s < to_m - 1e-6)
@@ -63,13 +62,13 @@ def project(line: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArra
     best = distance.argmin(1)
     row = np.arange(len(points))
     side = np.sign(step[best, 0] * delta[row, best, 1] - step[best, 1] * delta[row, best, 0])
-    s = stations(line)[best] + share[row, best] * np.sqrt(squared[best])
+    s = stations_m(line)[best] + share[row, best] * np.sqrt(squared[best])
     return s, np.where(side == 0, 1.0, side) * distance[row, best]
 
 
 def resample(line: FloatArray, step_m: float) -> tuple[FloatArray, FloatArray]:
     """Return (points (M, 2), arc lengths (M,)) about *step_m* apart, both ends included."""
-    total = length(line)
+    total = line_length_m(line)
     s = np.linspace(0.0, total, max(2, int(np.ceil(total / step_m)) + 1))
     return at(line, s), s
 

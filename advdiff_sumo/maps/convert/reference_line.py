@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.maps.convert import polyline
 
 OFF_M = 0.01  # a corner is cut by at most this
@@ -60,7 +61,7 @@ def smooth(line: FloatArray, from_yaw: float, to_yaw: float) -> list[Stretch]:
 
 
 def _without_stubs(line: FloatArray) -> FloatArray:
-    s = polyline.stations(line)
+    s = stations_m(line)
     kept = (s > STUB_M) & (s < s[-1] - STUB_M)
     kept[[0, -1]] = True
     return np.asarray(line[kept])
@@ -72,7 +73,7 @@ def _bent(line: FloatArray, yaw: float) -> FloatArray:
     step = line[1] - line[0]
     if abs(_wrapped(math.atan2(step[1], step[0]) - yaw)) < STRAIGHT_RAD:
         return line
-    s, best = polyline.stations(line), line
+    s, best = stations_m(line), line
     for reach in BEND_M:
         joined = 3.0 * reach  # the arc at the corner then takes the whole way from the end to it
         if 2.0 * joined > s[-1]:
@@ -87,21 +88,15 @@ def _bent(line: FloatArray, yaw: float) -> FloatArray:
 
 
 def _without_straight_corners(line: FloatArray) -> FloatArray:
-    turn = _turns(line)
+    turn = polyline.turns(line)
     return line[np.concatenate(([True], np.abs(turn) > STRAIGHT_RAD, [True]))]
-
-
-def _turns(line: FloatArray) -> FloatArray:
-    step = np.diff(line, axis=0)
-    yaw = np.arctan2(step[:, 1], step[:, 0])
-    return np.asarray((np.diff(yaw) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 def _filleted(line: FloatArray) -> list[Stretch]:
     """Return the chords of *line* with an arc tangent to both at each corner."""
     step = np.diff(line, axis=0)
     length = np.hypot(step[:, 0], step[:, 1])
-    unit, turn = step / length[:, None], _turns(line)
+    unit, turn = step / length[:, None], polyline.turns(line)
     share = 0.5 * length
     share[[0, -1]] = length[[0, -1]]  # an end lies at one corner only
     cut = np.minimum(share[:-1], share[1:])

@@ -10,7 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
 GAP_M = 0.5  # a lane that begins this near to the end of another one, in its direction, follows it
@@ -109,14 +109,14 @@ def _mark_connectors(
             len(before[b]) > 1 for b in after[lane.token]
         )
         inner = bool(after[lane.token]) and bool(before[lane.token])
-        short = polyline.length(lane.centre_m) <= LONGEST_CONNECTOR_M
+        short = line_length_m(lane.centre_m) <= LONGEST_CONNECTOR_M
         marked.append(replace(lane, is_connector=inner and short and (forks or lane.token in crossed)))
     notes["lanes taken for connectors"] += sum(lane.is_connector for lane in marked)
     return marked
 
 
 def _inside_if_tiny(lane: SourceLane, notes: Counter[str]) -> SourceLane:
-    if lane.is_connector or polyline.length(lane.centre_m) >= TINY_M:
+    if lane.is_connector or line_length_m(lane.centre_m) >= TINY_M:
         return lane
     notes["lanes under a metre put inside a junction"] += 1
     return replace(lane, is_connector=True)

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, NetPlan, Ring
 
@@ -47,13 +48,7 @@ def find_rings(plan: NetPlan) -> tuple[Ring, ...]:
 
 def _turn(way: ConnectionPlan) -> float:
     """Return by how much a way turns to the left, in rad."""
-    return float(np.sum(_bends(way.shape_m)))
-
-
-def _bends(line: FloatArray) -> FloatArray:
-    step = np.diff(line, axis=0)
-    yaw = np.arctan2(step[:, 1], step[:, 0])
-    return np.asarray((np.diff(yaw) + math.pi) % (2.0 * math.pi) - math.pi)
+    return float(np.sum(polyline.turns(way.shape_m)))
 
 
 def _loop(
@@ -65,7 +60,7 @@ def _loop(
     while here in inner and here not in passed and length <= LONGEST_M:
         passed.add(here)
         loop.append(inner[here])
-        length += edges[here].length_m + polyline.length(inner[here].shape_m)
+        length += edges[here].length_m + line_length_m(inner[here].shape_m)
         here = inner[here].target[0]
         if here == start:
             return loop if length <= LONGEST_M else None
@@ -89,9 +84,9 @@ def _lane(edges: dict[str, EdgePlan], way: ConnectionPlan) -> FloatArray:
 def _turns_evenly(line: FloatArray, side: float) -> bool:
     """Return whether a closed line goes round once, with no corner in it."""
     closed = np.vstack((line, line[:1]))
-    s = np.linspace(0.0, polyline.length(closed), SAMPLES, endpoint=False)
+    s = np.linspace(0.0, line_length_m(closed), SAMPLES, endpoint=False)
     points = polyline.at(closed, s)
-    bends = side * _bends(np.vstack((points, points[:2])))
+    bends = side * polyline.turns(np.vstack((points, points[:2])))
     window = SAMPLES // 8
     eighths = np.convolve(np.concatenate((bends, bends[: window - 1])), np.ones(window), mode="valid")
     once = abs(float(bends.sum()) - 2.0 * math.pi) < 0.1

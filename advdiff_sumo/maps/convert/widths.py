@@ -7,6 +7,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 
 REACH_M = 8.0  # a lane edge farther from the centre line than this is no lane edge
@@ -22,7 +23,7 @@ def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float =
     """
     if polygon is None or polygon.is_empty:
         return np.empty((0, 2))
-    total = polyline.length(centre_m)
+    total = line_length_m(centre_m)
     rim = min(1.0, 0.2 * total)
     s = np.linspace(rim, total - rim, max(3, int(total / step_m) + 1))
     points, yaw = polyline.at(centre_m, s), polyline.heading(centre_m, s)

@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.read_net import ids_beyond, read_root, shape_of
 
 
@@ -60,11 +61,7 @@ def read_footways(net: Path) -> Footways:
     edges = [name for own in parts for name in own]
     return Footways(
         tuple(edges),
-        np.array([_length(lines[name]) for name in edges]),
+        np.array([line_length_m(lines[name]) for name in edges]),
         np.array([lines[name][[0, -1]].mean(axis=0) for name in edges]).reshape(-1, 2),
         np.array([number for number, own in enumerate(parts) for _ in own], dtype=np.int64),
     )
-
-
-def _length(line: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())

@@ -13,6 +13,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.ops import substring
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.on_foot.carriageway import Carriageway, Strip
 from advdiff_sumo.maps.on_foot.crossing_lines import CrossingLine
 from advdiff_sumo.maps.on_foot.kerbs import SIDEWALK_M, Sidewalk, WalkingArea, outline
@@ -144,7 +145,7 @@ class NetWriter:
         """Return the seconds from the stop line until the rear of a vehicle on *way* has passed *crossing*."""
         link = self.road.links[way.junction, way.link]
         lane, parts = self._approach(link), self.road.parts(link)
-        before_m = sum(_length_m(shape_of(self.lanes[part])) for part in parts[: parts.index(way.lane)])
+        before_m = sum(line_length_m(shape_of(self.lanes[part])) for part in parts[: parts.index(way.lane)])
         stop = lane.find("stopOffset")
         offset_m = 0.0 if stop is None else float(stop.get("value", "0"))
         at_m = way.line.project(way.line.intersection(crossing.line).centroid) + 0.5 * crossing.width_m
@@ -186,7 +187,7 @@ class NetWriter:
 
     def _lane(self, edge: ET.Element, line: FloatArray, width_m: float) -> None:
         line = _without_repeats(line)
-        length = _length_m(line)
+        length = line_length_m(line)
         ET.SubElement(
             edge,
             "lane",
@@ -211,7 +212,7 @@ class NetWriter:
         start = self.places[walk.origin].junction
         end = None if walk.target is None else self.places[walk.target].junction
         inside = 2 if end == start else 1 if end is not None else 0
-        length = _length_m(walk.line_m)
+        length = line_length_m(walk.line_m)
         if end != start:
             inside = min(inside, int(length) // 2)
         line = LineString(walk.line_m)
@@ -274,10 +275,6 @@ class NetWriter:
 
 def _shape(line: FloatArray) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in line)
-
-
-def _length_m(line: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _without_repeats(line: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 
@@ -112,7 +113,7 @@ def _further_on(plan: Trajectory, scene: Scene, speed: FloatArray, further_m: Fl
     row, history = scene.target, scene.history
     xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
     yaw = np.unwrap(np.append(history.yaw_rad[row, -1], plan.yaw_rad))
-    s = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+    s = stations_m(xy)
     wish = s[1:] + further_m
     on = np.column_stack([np.interp(wish, s, xy[:, k]) for k in (0, 1)])
     on += np.maximum(wish - s[-1], 0.0)[:, None] * unit(np.asarray(yaw[-1]))

@@ -12,6 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.plan import Plan, Trajectory
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.reference.corridor import Meeting, corridor_of, demands, meeting
@@ -121,7 +122,7 @@ class ReferencePlanner:
         """Return *normal* slowed down by the reaction to a lasting demand, and the reaction at each instant."""
         here = scene.history.xy_m[scene.target, -1]
         path = np.vstack((here, normal.xy_m))
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+        along = stations_m(path)
         yaw = np.unwrap(np.append(scene.history.yaw_rad[scene.target, -1], normal.yaw_rad))
         speed, states, speeds = speed_mps, [], []
         for wish in normal.speed_mps.tolist():

@@ -15,6 +15,7 @@ import pyproj
 import shapely
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
@@ -40,7 +41,7 @@ Row = dict[str, Any]
 
 def sides(centre_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the left and right boundary (N, 2) of a lane of 3.5 m."""
-    yaw = polyline.heading(centre_m, polyline.stations(centre_m))
+    yaw = polyline.heading(centre_m, stations_m(centre_m))
     across = HALF_M * np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
     return centre_m + across, centre_m - across
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_maps import step
 
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats, sample_path
 
 
@@ -68,7 +68,7 @@ def test_length_and_end_agree_with_step_by_step_motion(
     for letter, length in zip(shape, lengths, strict=True):
         pose = step(pose, letter, length, radius)
     np.testing.assert_allclose(line[-1], pose[:2], atol=1e-3)
-    assert polyline.length(line) == pytest.approx(sum(lengths), rel=2e-3, abs=5e-3)
+    assert line_length_m(line) == pytest.approx(sum(lengths), rel=2e-3, abs=5e-3)
 
 
 def test_drop_repeats_keeps_both_ends() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 
 BENT = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
@@ -31,4 +32,4 @@ def test_join_shares_the_common_point() -> None:
 def test_parts_add_up(a: float, b: float) -> None:
     first, last = sorted((a, b))
     if last - first > 1e-3:
-        assert abs(polyline.length(polyline.cut(BENT, first, last)) - (last - first)) < 1e-5
+        assert abs(line_length_m(polyline.cut(BENT, first, last)) - (last - first)) < 1e-5

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.layout.clear_stretches import STUB_M, clear_stretches
 from advdiff_sumo.maps.convert.layout.crossings import join_crossing_ways
 from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
@@ -33,7 +33,7 @@ def lay_out(
         pairs: lanes that run side by side.
     """
     roads = [pair for pair in pairs if not (is_connector[pair.left] or is_connector[pair.right])]
-    lengths = [polyline.length(line) for line in lines_m]
+    lengths = [line_length_m(line) for line in lines_m]
     cut = cut_lanes(lengths, roads)
     pieces = {lane: ([] if is_connector[lane] else cut[lane]) for lane in range(len(lengths))}
     layout = Layout(lengths, list(links), pieces)

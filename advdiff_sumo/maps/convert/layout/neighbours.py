@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 
 STEP_M = 1.0
@@ -124,7 +125,7 @@ def _pairs(
         lane_left, lane_right = divmod(int(keys[start]), len(lines))
         s_left, s_right = _monotone(samples.s[left[start:stop]], samples.s[right[start:stop]])
         pair = SideBySide(lane_left, lane_right, s_left, s_right)
-        shorter = min(polyline.length(lines[lane_left]), polyline.length(lines[lane_right]))
+        shorter = min(line_length_m(lines[lane_left]), line_length_m(lines[lane_right]))
         least = KNOWN_OVERLAP_M if (lane_left, lane_right) in known else min(MIN_OVERLAP_M, 0.5 * shorter)
         if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= least:
             pairs.append(pair)

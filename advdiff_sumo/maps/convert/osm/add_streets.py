@@ -17,7 +17,7 @@ import shapely
 from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch, StretchGraph, stretches_outside
@@ -105,7 +105,7 @@ def _area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
     strips = [
         LineString(line).buffer(0.5 * width, cap_style="flat")
         for line, width in (*lanes, *ways)
-        if polyline.length(line) > 0.0
+        if line_length_m(line) > 0.0
     ]
     return shapely.union_all([drivable, *strips])
 

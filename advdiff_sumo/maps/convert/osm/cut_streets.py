@@ -15,6 +15,7 @@ from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.osm.import_streets import Street, StreetNet, beside
 from advdiff_sumo.maps.convert.routability import reached
@@ -69,7 +70,7 @@ class StreetStretch:
     @property
     def has_end(self) -> bool:
         """Whether nothing was cut off its end."""
-        return self.to_m == polyline.length(self.street.middle_m)
+        return self.to_m == line_length_m(self.street.middle_m)
 
     def shorter(self, by_m: float, *, at_start: bool) -> StreetStretch:
         """Return the stretch without *by_m* at one end."""
@@ -140,7 +141,7 @@ def _beyond(stubs: Collection[tuple[str, str]], street: Street, end: int) -> boo
 
 def _outside(street: Street, net: StreetNet, area: BaseGeometry) -> Iterator[StreetStretch]:
     line = LineString(street.middle_m)
-    length_m = polyline.length(street.middle_m)
+    length_m = line_length_m(street.middle_m)
     parts = shapely.get_parts(line.difference(area)).tolist() if area.intersects(line) else [line]
     for number, (first, last) in enumerate(sorted(_span(part, line) for part in parts)):
         starts, ends = first < NOTHING_M, last > length_m - NOTHING_M

@@ -11,6 +11,7 @@ from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
@@ -70,7 +71,7 @@ def _rim_end(edge: EdgePlan, leaves: bool) -> RimEnd | None:
     ends, directions = [], []
     for index in lanes:
         line = edge.lanes[index].shape_m
-        length = polyline.length(line)
+        length = line_length_m(line)
         span = (max(length - HEADING_M, 0.0), length) if leaves else (0.0, min(HEADING_M, length))
         before, after = polyline.at(line, np.array(span))
         ends.append(after if leaves else before)

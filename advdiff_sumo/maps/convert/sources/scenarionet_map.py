@@ -13,7 +13,7 @@ from shapely.geometry import Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
-from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
@@ -113,7 +113,7 @@ def _points(value: Any, shift: FloatArray) -> FloatArray | None:
     if line.ndim != 2 or len(line) < 2 or line.shape[1] < 2 or not np.isfinite(line[:, :2]).all():
         return None
     line = drop_repeats(line[:, :2] + shift)
-    return line if len(line) > 1 and polyline.length(line) > 0.01 else None
+    return line if len(line) > 1 and line_length_m(line) > 0.01 else None
 
 
 def _polygon(value: Any, shift: FloatArray) -> Polygon | None:

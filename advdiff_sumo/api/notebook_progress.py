@@ -36,7 +36,7 @@ class NotebookProgress:
         if self._bar is not None:
             self._bar.stop()
 
-    def tell(self, row: Mapping[str, Any] | None) -> None:
+    def tell(self, row: Mapping[str, Any] | None, _failed: object = None) -> None:
         """Count one episode that has ended; None for one without a row."""
         self.done += 1
         self.hits += bool(row and row["target_collision"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -66,7 +66,7 @@ def run(
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
     with NotebookProgress(episodes, progress) as bar:
-        run_into(prepared, folder, SerialExecutor(prepared), lambda row, _: bar.tell(row))
+        run_into(prepared, folder, SerialExecutor(prepared), bar.tell)
     return Results(folder.path)
 
 
@@ -131,12 +131,8 @@ def sweep(
         executor = ProcessExecutor(slots, limits_of(stack, _TIMEOUT_S))
         store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
         bar = stack.enter_context(NotebookProgress(plan.wanted, progress))
-        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, _tell_row(bar))
+        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, bar.tell)
     return Results(store.path)
-
-
-def _tell_row(bar: NotebookProgress) -> Callable[[Any, Any], None]:
-    return lambda row, _: bar.tell(row)
 
 
 def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredConversion:

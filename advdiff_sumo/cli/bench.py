@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from advdiff_sumo.cli.terminal import Bars, print_json, verb_console
+from advdiff_sumo.cli.terminal import Bars, print_json, terminal
 from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -219,7 +219,7 @@ def run_or_print(
     from advdiff_sumo.experiments.bench.table_cache import finished
 
     end_as_by_ctrl_c()
-    console = verb_console(False, as_json)
+    console = terminal(quiet=as_json)
     path = (out or _FOLDER / f"bench-{name}").resolve()
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
     scenes, usual = _of_log(given.get("scenes"))

@@ -7,11 +7,10 @@ from contextlib import ExitStack
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from advdiff_sumo.cli.run_flags import Defect
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import findings_table, terminal
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, limits_of
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
@@ -58,15 +57,8 @@ def check_planner(
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, math.inf, memory)
         verdicts = check_in_worker(name, options, extent, limits, lambda line: typer.echo(line, err=True))
-    table = Table(show_header=False, box=None, padding=(0, 1))
-    for _ in range(2):
-        table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for x in verdicts:
-        state = _STATES[x.ok]
-        table.add_row(state, x.name, Text(x.detail))
     console = terminal(highlight=False, soft_wrap=True)
-    console.print(table)
+    console.print(findings_table((_STATES[x.ok], x.name, x.detail) for x in verdicts))
     failed = sum(x.ok is False for x in verdicts)
     if failed:
         console.print(Text(f"{name}: {failed} of {len(verdicts)} checks fail", style="red"))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
-from advdiff_sumo.cli.terminal import counted, terminal
+from advdiff_sumo.cli.terminal import counted, findings_table, terminal
 
 _STYLES = {"ok": "green", "note": "yellow", "problem": "red"}
 UNUSABLE = 1
@@ -33,13 +32,9 @@ def doctor(
     for check in CHECKS:
         if not (quick and check is self_test):
             findings.extend(check())
-    table = Table(show_header=False, box=None, padding=(0, 1))
-    for _ in range(2):
-        table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for finding in findings:
-        table.add_row(Text(finding.state, style=_STYLES[finding.state]), finding.topic, Text(finding.text))
-    console.print(table)
+    console.print(
+        findings_table((Text(one.state, _STYLES[one.state]), one.topic, one.text) for one in findings)
+    )
     for finding in findings:
         if finding.hint:
             console.print(Text(f"{finding.topic}: {finding.hint}", style=_STYLES[finding.state]))

@@ -86,6 +86,7 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
     from advdiff_sumo.export import ExportScene  # late, as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.report.folder import FinishedRun
+    from advdiff_sumo.report.nets import net_path
 
     finished = FinishedRun.read(folder)
     if episode is None:
@@ -97,22 +98,12 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
     if states is None:
         raise FileError(folder, f"episode {episode} failed before its first instant", "choose another one")
     net = str(row.get("net") or finished.options.get("net", ""))
-    road = RoadMap.read(_net_file(folder, net))
-    return ExportScene(f"{stem_of(folder)}-{episode:04d}", states.tracks, states.target, road)
+    path = net_path(net, folder)
+    if path is None:
+        raise NetError(net or folder, "the net of the run is no longer there", f"put it into {folder}")
+    return ExportScene(f"{stem_of(folder)}-{episode:04d}", states.tracks, states.target, RoadMap.read(path))
 
 
 def stem_of(folder: Path) -> str:
     """Return with what the names of the files begin that are exported out of *folder*."""
     return re.sub(r"[^\w.-]+|^[^A-Za-z0-9]+", "-", folder.resolve().name).lstrip("-._") or "run"
-
-
-def _net_file(folder: Path, named: str) -> Path:
-    """Return the net's file: as it is named, or beside the run's tables, or a shipped one."""
-    from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net  # late, as above
-
-    if named in NETS_BY_NAME:
-        return find_net(named)
-    for path in (Path(named), folder / Path(named).name):
-        if path.is_file():
-            return path
-    raise NetError(named or folder, "the net of the run is no longer there", f"put it into {folder}")

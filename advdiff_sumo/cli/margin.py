@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import print_json, terminal, verb_console
+from advdiff_sumo.cli.terminal import print_json, terminal
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
     PLAN_TIMEOUT_S,
@@ -106,7 +106,7 @@ def margin(
     planted = options.target_options.get("defects", ())
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
-    console = verb_console(False, as_json)
+    console = terminal(quiet=as_json)
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         trials = stack.enter_context(MarginTrials(options, folder, limits))

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.interruption import says_how_to_go_on
-from advdiff_sumo.cli.terminal import print_json, progress_bar, verb_console
+from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
     PLAN_TIMEOUT_S,
@@ -94,10 +94,12 @@ def run(
     options = options_given(config, where | what, policy, assign or [], defect)
     if not gui:
         _start_workers(options)
-    prepared = _prepared(options, gui)
+    from advdiff_sumo.sim.run_episodes import Run  # late: workers import what they need meanwhile
+
+    prepared = Run.prepare(options, gui)
     notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
     folder = _folder(prepared, out, resume)
-    console = verb_console(quiet, as_json)
+    console = terminal(quiet=quiet or as_json)
     print_notes(console, notes)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
@@ -113,13 +115,6 @@ def _start_workers(options: RunOptions) -> None:
 
     modules = TARGETS.builtin_module(options.target), POLICIES.builtin_module(options.background)
     prepare_workers(module for module in modules if module is not None)
-
-
-def _prepared(options: RunOptions, gui: bool) -> Run:
-    """Return the run of *options*, checked."""
-    from advdiff_sumo.sim.run_episodes import Run  # late, as above
-
-    return Run.prepare(options, gui)
 
 
 def _folder(prepared: Run, out: Path | None, resume: bool) -> RunFolder:

@@ -13,7 +13,7 @@ from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
-from advdiff_sumo.cli.terminal import Bars, print_json, verb_console
+from advdiff_sumo.cli.terminal import Bars, print_json, terminal
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -58,13 +58,14 @@ def sweep(
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
+    from advdiff_sumo.sweep.sweep_store import Store
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
     if resume is not None and out is not None and out.resolve() != resume.resolve():
         raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
-    console, condition = verb_console(quiet, as_json), condition_of(fail_if)
-    begun = _begun(resume)
+    console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
+    begun = None if resume is None else Store.open(resume)
     plan = _plan(console, file, begun, diverse)
     slots = workers or worker.cores()
     with ExitStack() as stack:
@@ -101,12 +102,6 @@ def _draw(console: Console, folder: Path) -> None:
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
     except FileError as error:
         console.print(f"no report: {error}", style="red", soft_wrap=True)
-
-
-def _begun(resume: Path | None) -> Store | None:
-    from advdiff_sumo.sweep.sweep_store import Store
-
-    return None if resume is None else Store.open(resume)
 
 
 def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:

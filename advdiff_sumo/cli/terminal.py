@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -89,9 +91,15 @@ class Bars:
         self._bar.console.print(sentence, soft_wrap=True)
 
 
-def verb_console(quiet: bool, as_json: bool) -> Console:
-    """Return the console of a verb with ``--quiet`` and ``--json``: silent where either was given."""
-    return terminal(quiet=quiet or as_json)
+def findings_table(findings: Iterable[tuple[Text, str, str]]) -> Table:
+    """Return states, what they are of and what was found as a table without lines."""
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    for _ in range(2):
+        table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for state, what, found in findings:
+        table.add_row(state, what, Text(found))
+    return table
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal, verb_console
+from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import cores
 from advdiff_sumo.core.errors import ConfigError
 
@@ -59,7 +59,7 @@ def verdict(
     from advdiff_sumo.experiments.judge_folder import open_judging
     from advdiff_sumo.report.page import write_report
 
-    console = verb_console(False, as_json)
+    console = terminal(quiet=as_json)
     judging = open_judging(folder)
     if judging.doubt:
         console.print(

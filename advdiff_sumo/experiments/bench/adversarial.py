@@ -73,7 +73,7 @@ def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> T
         )
         ours = cell.row == OURS
         rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, ours))
-    lines = lines_of(HEADS, rows, paper_table("adversarial").rows)
+    lines = lines_of(HEADS, rows, paper_table("adversarial"))
     heads = tuple(head for head in HEADS if any(head.key in line.cells for line in lines))
     title = (
         f"Adversarial traffic, closed loop: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"

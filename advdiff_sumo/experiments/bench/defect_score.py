@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -25,12 +23,14 @@ from advdiff_sumo.experiments.bench.detection import (
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
+from advdiff_sumo.experiments.bench.formatting import comma_separated
 from advdiff_sumo.experiments.bench.intervals import Estimate, Ratio, difference, estimate, ratio
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 DETECTIONS, FIRST, BY_STRATUM = "detections.csv", "first_detection.csv", "by_stratum.csv"
 FINDINGS = "findings.csv"
+COUNTS = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
 SCORE = "detected / planted"
 NOTES = (
     "Cells: share of episodes that end in a valid failure of the target, 95 % Wilson interval. Bold: detected, the "
@@ -131,25 +131,29 @@ def defects_table(
 
 def detections_text(contests: tuple[Contest, ...]) -> str:
     """Return one line a defect, target and background: what was counted and how it was tested."""
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    counts = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
-    writer.writerow(("background", "target", "defect", *counts, "p", "p_holm", "detected"))
+    rows = []
     for contest in contests:
         for one in contest.detections:
-            numbers = (getattr(one, name) for name in counts)
+            numbers = (getattr(one, name) for name in COUNTS)
             tested = (f"{one.p:.6g}", f"{one.adjusted:.6g}", str(one.detected).lower())
-            writer.writerow((contest.background, contest.target, one.defect, *numbers, *tested))
-    return sink.getvalue()
+            rows.append((contest.background, contest.target, one.defect, *numbers, *tested))
+    return comma_separated(("background", "target", "defect", *COUNTS, "p", "p_holm", "detected"), rows)
 
 
 def first_text(contests: tuple[Contest, ...]) -> str:
     """Return one line a target and background: what its first detection cost; the seconds differ between machines."""
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(
-        ("background", "target", "detected", "planted", "first", "scenes", "episodes", "cpu_s", "all_cpu_s")
+    names = (
+        "background",
+        "target",
+        "detected",
+        "planted",
+        "first",
+        "scenes",
+        "episodes",
+        "cpu_s",
+        "all_cpu_s",
     )
+    rows = []
     for contest in contests:
         if not contest.defective:
             continue
@@ -159,25 +163,23 @@ def first_text(contests: tuple[Contest, ...]) -> str:
         cost = ("", "", "", "")
         if first is not None:
             cost = (" ".join(first.defects), str(first.scenes), str(first.episodes), f"{first.cpu_s:.1f}")
-        writer.writerow(
-            (contest.background, contest.target, detected, len(contest.detections), *cost, f"{every:.1f}")
-        )
-    return sink.getvalue()
+        planted = len(contest.detections)
+        rows.append((contest.background, contest.target, detected, planted, *cost, f"{every:.1f}"))
+    return comma_separated(names, rows)
 
 
 def by_stratum_text(contests: tuple[Contest, ...], cells: BenchCells) -> str:
     """Return one line a net, stratum of the seed scenes, defect, target and background: its valid failures."""
     listed = cells.scenes.scenes
     parts = {key: (listed[place].net, listed[place].stratum) for key, place in scene_order(cells).items()}
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(("background", "target", "defect", "net", "stratum", "scenes", "failures"))
+    rows = []
     for contest in contests:
         for defect, tried in ((SOUND, contest.sound), *contest.defective.items()):
             for part in dict.fromkeys(parts[scene] for scene in tried):
                 failed = [one.failed for scene, one in tried.items() if parts[scene] == part]
-                writer.writerow((contest.background, contest.target, defect, *part, len(failed), sum(failed)))
-    return sink.getvalue()
+                rows.append((contest.background, contest.target, defect, *part, len(failed), sum(failed)))
+    names = ("background", "target", "defect", "net", "stratum", "scenes", "failures")
+    return comma_separated(names, rows)
 
 
 def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:

@@ -9,10 +9,8 @@ from typing import Any
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.bench.defect_cells import SOUND
-from advdiff_sumo.experiments.bench.defect_score import DETECTIONS
+from advdiff_sumo.experiments.bench.defect_score import COUNTS, DETECTIONS
 from advdiff_sumo.experiments.bench.table import Table
-
-_COUNTS = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
 
 
 def defects_object(path: Path, table: Table) -> dict[str, Any]:
@@ -48,7 +46,7 @@ def _defect(row: Mapping[str, str]) -> dict[str, Any]:
         **{name: row[name] for name in ("background", "target", "defect")},
         "detected": row["detected"] == "true",
         **{name: float(row[name]) for name in ("p", "p_holm")},
-        **{name: int(row[name]) for name in _COUNTS},
+        **{name: int(row[name]) for name in COUNTS},
     }
 
 

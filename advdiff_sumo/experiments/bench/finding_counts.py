@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,6 +11,7 @@ from typing import Any
 
 from advdiff_sumo.experiments.bench.detection import Tried, first_detection
 from advdiff_sumo.experiments.bench.episode_results import Gathered
+from advdiff_sumo.experiments.bench.formatting import comma_separated
 from advdiff_sumo.metrics.archive import archive
 from advdiff_sumo.metrics.severity import is_valid_failure
 
@@ -95,20 +94,26 @@ def findings_text(
     for cell, episodes in gathered.finished.items():
         asked = cell.background_options.get("attack", cell.background)  # as in a sweep's table
         rows.setdefault((cell.row, cell.target), []).extend({**one.row, "attack": asked} for one in episodes)
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
     counts = ("episodes", "collisions", "valid", "others_broke")
-    writer.writerow(
-        ("background", "target", *counts, "breaches", "cells", "cells_per_100", "median_first_cpu_s", "auc")
+    names = (
+        "background",
+        "target",
+        *counts,
+        "breaches",
+        "cells",
+        "cells_per_100",
+        "median_first_cpu_s",
+        "auc",
     )
+    lines: list[tuple[object, ...]] = []
     for key, some in rows.items():
         worth = count_findings(some)
         breaches = " ".join(f"{kind}:{count}" for kind, count in worth.breaches.items())
         numbers = (getattr(worth, name) for name in counts)
         cost = _figure(_median(costs.get(key, ())), 1)
         shares = (_figure(worth.cells_per_100, 2), cost, _figure(ranked.get(key), 3))
-        writer.writerow((*key, *numbers, breaches, worth.cells, *shares))
-    return sink.getvalue()
+        lines.append((*key, *numbers, breaches, worth.cells, *shares))
+    return comma_separated(names, lines)
 
 
 def _median(costs: Sequence[float]) -> float | None:

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable
+
 from advdiff_sumo.experiments.bench.intervals import Difference
 from advdiff_sumo.experiments.bench.table import Cell, Head
 
 NOTHING = "–"
+
+
+def comma_separated(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Return a table of comma-separated values, a line a row."""
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return sink.getvalue()
 
 
 def number(value: float | None, head: Head) -> str:

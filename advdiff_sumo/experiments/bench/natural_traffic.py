@@ -64,7 +64,7 @@ def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table
         counted |= _counted(folder, seeing, windows, rows, places, workers, teller)
     scenes = tuple(str(row) for row in rows.tolist())
     samples = [_samples(name, counted, scenes, folder.request.seeds) for name in names]
-    lines = lines_of(HEADS, samples, paper_table("traffic").rows)
+    lines = lines_of(HEADS, samples, paper_table("traffic"))
     request = folder.request
     title = f"Natural traffic, open loop: {len(rows)} windows, {request.samples} samples each"
     source = (

@@ -104,7 +104,7 @@ def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tab
         name, _, source = key.partition("/")
         title = policy_row(name).title.removesuffix(" (ours)")
         rows.append(RowSamples(key, "", f"{title} ← {TARGET_TITLES.get(source, source)}", samples))
-    lines = lines_of(heads, rows, paper_table("transfer").rows)
+    lines = lines_of(heads, rows, paper_table("transfer"))
     title = f"Transfer to other planners: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
     ours = REFITTED if refits_q(folder.request) else LEARNT
     usual = (*kept_shares(rows), *(note.format(ours=ours) for note in NOTES))

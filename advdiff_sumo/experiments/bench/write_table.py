@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -56,31 +54,27 @@ def write_files(folder: Path, table: Table) -> None:
 
 def csv_text(table: Table, heads: Sequence[Head]) -> str:
     """Return one line a row and column: figure, interval, sample size, and the paper's figure."""
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(("target", "row", "column", "unit", "value", "low", "high", "n", "paper"))
-    for line in table.lines:
-        for head in heads:
-            cell = line.cells.get(head.key)
-            if cell is not None:
-                writer.writerow((line.group, line.title, head.key, head.unit, *_values(cell, head)))
-    return sink.getvalue()
+    return formatting.comma_separated(
+        ("target", "row", "column", "unit", "value", "low", "high", "n", "paper"),
+        (
+            (line.group, line.title, head.key, head.unit, *_values(line.cells[head.key], head))
+            for line in table.lines
+            for head in heads
+            if head.key in line.cells
+        ),
+    )
 
 
 def differences_text(table: Table) -> str:
     """Return the differences to the best rival, one a line."""
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(("target", "column", "unit", "ours", "rival", "difference", "low", "high", "p", "scenes"))
-    heads = {head.key: head for head in table.heads}
+    names = ("target", "column", "unit", "ours", "rival", "difference", "low", "high", "p", "scenes")
+    heads, rows = {head.key: head for head in table.heads}, []
     for gap in table.gaps:
         head, difference = heads[gap.column], gap.found
         scaled = (_scaled(value, head) for value in (difference.value, difference.low, difference.high))
         p = "" if difference.p is None else f"{difference.p:.6g}"
-        writer.writerow(
-            (gap.group, gap.column, head.unit, gap.ours, gap.rival, *scaled, p, difference.scenes)
-        )
-    return sink.getvalue()
+        rows.append((gap.group, gap.column, head.unit, gap.ours, gap.rival, *scaled, p, difference.scenes))
+    return formatting.comma_separated(names, rows)
 
 
 def json_text(table: Table, heads: Sequence[Head]) -> str:

@@ -7,7 +7,6 @@ its speed is driven along the route's lanes instead; where nothing else is left,
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -59,7 +58,7 @@ class LearnedMemory:
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
-class LearnedPlanner(ABC):
+class LearnedPlanner:
     """What the three targets share.
 
     Attributes:
@@ -68,8 +67,8 @@ class LearnedPlanner(ABC):
     """
 
     Options: ClassVar[type[LearnedOptions]]
+    Networks: ClassVar[type[Any]]
     name: ClassVar[str]
-    options: LearnedOptions
 
     @one_thread()
     def __init__(self, **options: Any) -> None:
@@ -82,11 +81,7 @@ class LearnedPlanner(ABC):
         whose = f"target '{self.name}'"
         self.options = self.Options.parse(options, f"options of {whose}")
         device = device_of(self.options.device, whose)
-        self.model = self._model(device)
-
-    @abstractmethod
-    def _model(self, device: torch.device) -> Model:
-        """Return the model that the options name."""
+        self.model: Model = self.Networks(self.options, device)
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> LearnedMemory:
         """Return an empty memory, and let the map make its table of pieces."""
@@ -130,11 +125,8 @@ class LearnedPlanner(ABC):
 class SimNetPlanner(LearnedPlanner):
     """SimNet (Bergamini et al. 2021, doi:10.1109/ICRA48506.2021.9561666) as a planner; see ``models.simnet``."""
 
-    Options = SimNetPlannerOptions
+    Options, Networks = SimNetPlannerOptions, SimNetModel
     name = "simnet"
-
-    def _model(self, device: torch.device) -> Model:
-        return SimNetModel(self.options.weights, device)
 
 
 class TrafficSimPlanner(LearnedPlanner):
@@ -143,23 +135,15 @@ class TrafficSimPlanner(LearnedPlanner):
     After TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026).
     """
 
-    Options = TrafficSimPlannerOptions
-    options: TrafficSimPlannerOptions
+    Options, Networks = TrafficSimPlannerOptions, TrafficSimModel
     name = "trafficsim"
-
-    def _model(self, device: torch.device) -> Model:
-        return TrafficSimModel(self.options.weights, device, self.options.draws)
 
 
 class DiffusionPlanner(LearnedPlanner):
     """The latent diffusion without guide (AdvDiffuser, Sec. III-B) as a planner."""
 
-    Options = DiffusionPlannerOptions
-    options: DiffusionPlannerOptions
+    Options, Networks = DiffusionPlannerOptions, DiffusionModel
     name = "diffusion"
-
-    def _model(self, device: torch.device) -> Model:
-        return DiffusionModel(self.options, device)
 
 
 def _world(view: View, rollout: Rollout) -> tuple[FloatArray, FloatArray, FloatArray]:

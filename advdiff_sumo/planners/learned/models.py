@@ -26,7 +26,11 @@ from advdiff_sumo.models.gaussian import draw
 from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet import SimNet, load_simnet
 from advdiff_sumo.models.view import View
-from advdiff_sumo.planners.learned.learned_options import DiffusionPlannerOptions
+from advdiff_sumo.planners.learned.learned_options import (
+    DiffusionPlannerOptions,
+    SimNetPlannerOptions,
+    TrafficSimPlannerOptions,
+)
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,13 @@ class SimNetModel:
     """SimNet: one future, nothing is drawn.
 
     Args:
-        weights: a file of SimNet; empty: the shipped one.
+        options: of the target.
         device: where it runs.
     """
 
-    def __init__(self, weights: str, device: torch.device) -> None:
+    def __init__(self, options: SimNetPlannerOptions, device: torch.device) -> None:
         self._device = device
-        self._simnet = _simnet(str(find_weights(weights, "simnet")), device)
+        self._simnet = _simnet(str(find_weights(options.weights, "simnet")), device)
         self.map_view = self._simnet.options.map_view
 
     @torch.no_grad()
@@ -85,14 +89,13 @@ class TrafficSimModel:
     """The joint latent-variable model: the prior's mean, and draws from it.
 
     Args:
-        weights: a bundle; empty: the shipped one.
+        options: of the target.
         device: where it runs.
-        draws: how many beside the mean.
     """
 
-    def __init__(self, weights: str, device: torch.device, draws: int) -> None:
-        self._device, self._draws = device, draws
-        self._bundle, self._decoder = _bundle(str(find_weights(weights)), device)
+    def __init__(self, options: TrafficSimPlannerOptions, device: torch.device) -> None:
+        self._device, self._draws = device, options.draws
+        self._bundle, self._decoder = _bundle(str(find_weights(options.weights)), device)
         self.map_view = self._bundle.options.model.map_view
 
     @torch.no_grad()

@@ -46,7 +46,7 @@ def table() -> Table:
         row("advsim", 2),
         row("diffusion", 6, ours=True),
     ]
-    lines = lines_of(HEADS, rows, paper_table("adversarial").rows)
+    lines = lines_of(HEADS, rows, paper_table("adversarial"))
     return Table("adversarial", "A title with 50 % & _", HEADS, lines, gaps_of(HEADS, rows), ("A note.",))
 
 
@@ -77,9 +77,9 @@ def test_the_papers_figures_stand_beside(table: Table) -> None:
 
 
 def test_the_papers_tables_are_complete() -> None:
-    assert len(paper_table("traffic").rows) == 4
-    assert len(paper_table("adversarial").rows) == 5
-    transfer = paper_table("transfer").rows
+    assert len(paper_table("traffic")) == 4
+    assert len(paper_table("adversarial")) == 5
+    transfer = paper_table("transfer")
     assert len(transfer) == 12
     assert all(len(figures) == 6 for figures in transfer.values())
     assert transfer["strive/simnet"]["lane_graph:av_rate"] == 9.56

@@ -46,21 +46,19 @@ class WindowArrays:
     scene: str
 
 
-def crop(
-    xy_m: FloatArray, focal: int, limit: int = MAX_AGENTS, radius_m: float = CROP_M
-) -> NDArray[np.int64]:
+def crop(xy_m: FloatArray, focal: int) -> NDArray[np.int64]:
     """Return the rows of the agents nearest to *focal*, itself first, ties in order of rows.
+
+    They are ``MAX_AGENTS`` at most, whose centres are within ``CROP_M``.
 
     Args:
         xy_m: (A, 2) present positions, NaN where absent.
         focal: a row that is present.
-        limit: most rows.
-        radius_m: largest distance of the centres.
     """
     away = np.linalg.norm(xy_m - xy_m[focal], axis=-1)
     away[focal] = -1.0
-    order = np.argsort(np.where(np.isnan(away), np.inf, away), kind="stable")[:limit]
-    return np.asarray(order[away[order] <= radius_m], dtype=np.int64)
+    order = np.argsort(np.where(np.isnan(away), np.inf, away), kind="stable")[:MAX_AGENTS]
+    return np.asarray(order[away[order] <= CROP_M], dtype=np.int64)
 
 
 def crops(xy_m: FloatArray, order: IntArray, most: int, apart: int = 10) -> Iterator[NDArray[np.int64]]:

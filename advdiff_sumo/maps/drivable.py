@@ -62,9 +62,9 @@ class DrivableArea:
         parts = shapely.get_parts(self.geometry)
         return tuple(shapely.get_coordinates(ring) for ring in shapely.get_rings(parts))
 
-    def smooth_rings(self, tolerance_m: float = 0.05) -> tuple[FloatArray, ...]:
-        """Return the rings with points that lie within *tolerance_m* of a simpler outline left out."""
-        parts = shapely.get_parts(shapely.simplify(self.geometry, tolerance_m))
+    def smooth_rings(self) -> tuple[FloatArray, ...]:
+        """Return the rings with points that lie within 5 cm of a simpler outline left out."""
+        parts = shapely.get_parts(shapely.simplify(self.geometry, 0.05))
         return tuple(
             shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.orient_polygons(parts))
         )
@@ -135,11 +135,11 @@ def _split(part: BaseGeometry, tiles: list[BaseGeometry]) -> None:
         small = max(x1 - x0, y1 - y0) <= _TILE_M
         if small or shapely.get_num_coordinates(piece) <= _TILE_POINTS:
             tiles.append(piece)
-        elif x1 - x0 >= y1 - y0:
+            continue
+        if x1 - x0 >= y1 - y0:
             middle = 0.5 * (x0 + x1)
             halves = (shapely.box(x0, y0, middle, y1), shapely.box(middle, y0, x1, y1))
-            pending += [shapely.intersection(piece, half) for half in halves]
         else:
             middle = 0.5 * (y0 + y1)
             halves = (shapely.box(x0, y0, x1, middle), shapely.box(x0, middle, x1, y1))
-            pending += [shapely.intersection(piece, half) for half in halves]
+        pending += [shapely.intersection(piece, half) for half in halves]

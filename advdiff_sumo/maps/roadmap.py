@@ -124,13 +124,13 @@ class RoadMap:
         """Spatial index of all lanes."""
         return LaneIndex(self.lanes)
 
-    def near(self, xy_m: FloatArray, radius_m: float = 30.0, *, vclass: str | None = None) -> list[LanePose]:
+    def near(self, xy_m: FloatArray, radius_m: float = 30.0) -> list[LanePose]:
         """Return the nearest place of every lane within *radius_m* of one point (2,), nearest first.
 
-        Heading errors are 0. Lanes closed to *vclass* (None: to all motor vehicles) are left out.
+        Heading errors are 0. Lanes closed to all motor vehicles are left out.
         """
         candidates = self.index.candidates(_row(xy_m), radius_m)
-        candidates = candidates.rows(self._open_to(vclass)[candidates.lane])
+        candidates = candidates.rows(self._open_to(None)[candidates.lane])
         return poses_of(self.index, candidates.rows(np.argsort(np.abs(candidates.d_m), kind="stable")), None)
 
     def locate(
@@ -168,7 +168,6 @@ class RoadMap:
         *,
         vclass: str | None = None,
         max_distance_m: float = MAX_LANE_DISTANCE_M,
-        internal: bool = True,
     ) -> tuple[list[str | None], FloatArray, FloatArray, FloatArray]:
         """Locate N poses at once: lane ids (None where no lane is near), s, d and heading errors (NaN there).
 
@@ -177,13 +176,10 @@ class RoadMap:
             yaw_rad: (N,) headings or None.
             vclass: as in :meth:`locate`.
             max_distance_m: as in :meth:`locate`.
-            internal: as in :meth:`locate`.
         """
         xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
         yaw = None if yaw_rad is None else np.asarray(yaw_rad, dtype=np.float64)
-        allowed = self._open_to(vclass)
-        allowed = allowed if internal else allowed & ~self.index.is_internal
-        best = self.index.best(xy, yaw, max_distance_m, allowed)
+        best = self.index.best(xy, yaw, max_distance_m, self._open_to(vclass))
         ids: list[str | None] = [None] * len(xy)
         s, d, error = (np.full(len(xy), np.nan) for _ in range(3))
         for point, lane in zip(best.point, best.lane, strict=True):
@@ -307,9 +303,9 @@ class RoadMap:
 
     # --- fringe ------------------------------------------------------------------------------------------
 
-    def source_edges(self, vclass: str = "passenger") -> tuple[str, ...]:
+    def source_edges(self) -> tuple[str, ...]:
         """Return the edges at which traffic enters the net."""
-        return self.edge_graph(vclass).sources()
+        return self.edge_graph().sources()
 
 
 def _row(xy_m: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from advdiff_sumo.core.arrays import FloatArray
 
 #: Percentiles between which an interval of the bootstrap lies: 95 %.
 TAILS = (2.5, 97.5)
+_AT_ONCE = 250
 
 
 @dataclass(frozen=True)
@@ -47,15 +48,15 @@ class Rate:
         return self.count / self.total if self.total else None
 
 
-def wilson(count: int, total: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the Wilson score interval of *count* successes in *total* trials (doi 10.2307/2276774).
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """Return the 95 % Wilson score interval of *count* successes in *total* trials (doi 10.2307/2276774).
 
     Raises:
         ValueError: *total* is 0 or *count* is not in [0, total].
     """
     if not 0 <= count <= total or total == 0:
         raise ValueError(f"{count} of {total} is no rate")
-    z, share = float(ndtri(0.5 + 0.5 * confidence)), count / total
+    z, share = float(ndtri(0.975)), count / total
     middle = (share + 0.5 * z**2 / total) / (1.0 + z**2 / total)
     half = z * (share * (1.0 - share) / total + 0.25 * (z / total) ** 2) ** 0.5 / (1.0 + z**2 / total)
     return max(middle - half, 0.0) if count else 0.0, min(middle + half, 1.0) if count < total else 1.0
@@ -81,12 +82,12 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def bootstrap_counts(scenes: int, seed: int, resamples: int, at_once: int = 250) -> Iterator[FloatArray]:
-    """Yield (R, S) how often each of S scenes is drawn in each sample of the bootstrap, *at_once* samples at a time."""
+def bootstrap_counts(scenes: int, seed: int, resamples: int) -> Iterator[FloatArray]:
+    """Yield (R, S) how often each of S scenes is drawn in each sample of the bootstrap, some samples at a time."""
     rng = np.random.default_rng(seed)
     shares = np.full(scenes, 1.0 / scenes)
-    for begun in range(0, resamples, at_once):
-        yield rng.multinomial(scenes, shares, size=min(at_once, resamples - begun)).astype(np.float64)
+    for begun in range(0, resamples, _AT_ONCE):
+        yield rng.multinomial(scenes, shares, size=min(_AT_ONCE, resamples - begun)).astype(np.float64)
 
 
 def jensen_shannon(p: FloatArray, q: FloatArray) -> FloatArray:

@@ -97,6 +97,6 @@ def _situation(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(row["scene_key"]), str(row["target"]), str(row["target_options"])
 
 
-def thinned(tracks: Tracks, dt_s: float = 0.5) -> Tracks:
-    """Return every n-th instant, so that they are about *dt_s* apart."""
-    return tracks.every(max(1, round(dt_s / tracks.dt_s)))
+def thinned(tracks: Tracks) -> Tracks:
+    """Return every n-th instant, so that they are about half a second apart."""
+    return tracks.every(max(1, round(0.5 / tracks.dt_s)))

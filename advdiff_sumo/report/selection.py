@@ -113,12 +113,12 @@ class ChosenEpisode:
             parts.append(self.impact_m[None])
         return NetWindow.around(np.concatenate(parts), _MARGIN_M, _LEAST_WIDTH_M, aspect)
 
-    def view_at(self, moment_s: float, aspect: float, width_m: float = _LEAST_WIDTH_M) -> NetWindow:
-        """Return a view, at least *width_m* wide, of where the target is at *moment_s*, and the attacker if near."""
+    def view_at(self, moment_s: float, width_m: float = _LEAST_WIDTH_M) -> NetWindow:
+        """Return a square view of the target at *moment_s*, and of the attacker if near, at least *width_m* wide."""
         places = poses_at(self.states.tracks, moment_s)[0]
         rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
         near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= _ATTACKER_NEAR_M
-        return NetWindow.around(places[rows][near], _MARGIN_M, width_m, aspect)
+        return NetWindow.around(places[rows][near], _MARGIN_M, width_m, aspect=1.0)
 
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""

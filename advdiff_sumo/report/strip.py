@@ -32,7 +32,7 @@ from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
 #: Length of a strip where no start is asked for, and spacing of its circles: the model's step.
 STRIP_S, CIRCLES_S = 6.0, 0.5
-_PANEL_IN, _ASPECT, _LEGEND_IN = 3.1, 1.0, 0.34
+_PANEL_IN, _LEGEND_IN = 3.1, 0.34
 _PALE = "#ffffff"
 _WIDEST_M = 90.0
 """Where the ways of a strip need more, each panel shows where the two are then: a car would be a dot."""
@@ -71,7 +71,7 @@ def film_strip(
 
 def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:
     """Return the strip as a figure of matplotlib."""
-    width, height = _PANEL_IN * len(moments_s), _PANEL_IN / _ASPECT + _LEGEND_IN
+    width, height = _PANEL_IN * len(moments_s), _PANEL_IN + _LEGEND_IN
     drawn = Figure(figsize=(width, height), dpi=130, facecolor="white")
     FigureCanvasAgg(drawn)
     views = _views(chosen, moments_s.tolist(), start_s)
@@ -88,11 +88,11 @@ def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> 
 
 def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[NetWindow]:
     """Return what each panel shows, all at one scale."""
-    whole = chosen.view(start_s, moments_s[-1], _ASPECT)
+    whole = chosen.view(start_s, moments_s[-1], aspect=1.0)
     if whole.width_m <= _WIDEST_M:
         return [whole] * len(moments_s)
-    width_m = max(chosen.view_at(moment, _ASPECT).width_m for moment in moments_s)
-    return [chosen.view_at(moment, _ASPECT, width_m) for moment in moments_s]
+    width_m = max(chosen.view_at(moment).width_m for moment in moments_s)
+    return [chosen.view_at(moment, width_m) for moment in moments_s]
 
 
 def _panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, moment_s: float) -> None:

@@ -228,8 +228,8 @@ def averaged(parts: Sequence[Pooled]) -> Pooled:
     )
 
 
-def _draws(shape: tuple[int, ...], seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    rng = np.random.default_rng(seed)
+def _draws(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(0)
     counts = [rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64) for n in shape]
     return counts[0], counts[1]
 

@@ -154,7 +154,7 @@ class Divergence:
         )
 
 
-def estimate(sample: Sample, seed: int = 0) -> Estimate:
+def estimate(sample: Sample) -> Estimate:
     """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes.
 
     Drawing scenes again makes a divergence larger on average; its percentiles are moved back by so much.
@@ -166,12 +166,12 @@ def estimate(sample: Sample, seed: int = 0) -> Estimate:
         return Estimate(n=sample.n)
     if isinstance(sample, Ratio) and sample.rate:
         return Estimate(value, *wilson(round(float(sample.total.sum())), sample.n), sample.n)
-    drawn = sample.at(draws(len(sample.scenes), seed))
+    drawn = sample.at(draws(len(sample.scenes)))
     least = 0.0 if isinstance(sample, Divergence) else -np.inf
     return Estimate(value, *_percentiles(_centred(sample, drawn, value), least), sample.n)
 
 
-def difference(sample: Sample, other: Sample, seed: int = 0) -> Difference:
+def difference(sample: Sample, other: Sample) -> Difference:
     """Return the figure of *sample* less that of *other*, over the scenes that both have, drawn together."""
     a, b = aligned(sample, other)
     if not a.scenes:
@@ -179,7 +179,7 @@ def difference(sample: Sample, other: Sample, seed: int = 0) -> Difference:
     value = _one(a) - _one(b)
     if np.isnan(value):
         return Difference(scenes=len(a.scenes))
-    times = draws(len(a.scenes), seed)
+    times = draws(len(a.scenes))
     low, high = _percentiles(_centred(a, a.at(times) - b.at(times), value))
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
@@ -192,9 +192,9 @@ def aligned(a: Sample, b: Sample) -> tuple[Sample, Sample]:
     return a.rows(rows), b.rows(others)
 
 
-def draws(scenes: int, seed: int, resamples: int = RESAMPLES) -> FloatArray:
+def draws(scenes: int) -> FloatArray:
     """Return (R, S) how often each scene is drawn in each of the bootstrap's samples."""
-    return np.concatenate(list(bootstrap_counts(scenes, seed, resamples)))
+    return np.concatenate(list(bootstrap_counts(scenes, 0, RESAMPLES)))
 
 
 def ratio(scenes: Sequence[str], total: Sequence[float], count: Sequence[float], rate: bool = False) -> Ratio:

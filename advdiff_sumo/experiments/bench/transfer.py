@@ -189,7 +189,7 @@ def kept_shares(rows: Sequence[RowSamples]) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def share_kept(pairs: Sequence[tuple[Sample, Sample]], seed: int = 0) -> Estimate:
+def share_kept(pairs: Sequence[tuple[Sample, Sample]]) -> Estimate:
     """Return Σ foreign rates by Σ own rates over the scenes that all have; nothing where own rates are 0."""
     flat = [one for pair in pairs for one in pair]
     common = [scene for scene in flat[0].scenes if all(scene in one.scenes for one in flat)] if flat else []
@@ -206,6 +206,6 @@ def share_kept(pairs: Sequence[tuple[Sample, Sample]], seed: int = 0) -> Estimat
     value = float(share(np.ones((1, len(common))))[0])
     if np.isnan(value):
         return Estimate(n=len(common))
-    drawn = share(draws(len(common), seed))
+    drawn = share(draws(len(common)))
     low, high = np.nanpercentile(drawn, (2.5, 97.5))
     return Estimate(value, float(low), float(high), len(common))

@@ -12,10 +12,11 @@ from advdiff_sumo.maps.convert import polyline
 
 REACH_M = 8.0  # a lane edge farther from the centre line than this is no lane edge
 DEFAULT_WIDTH_M = 3.5
+SPACING_M = 4.0  # between the places where a lane is measured, or less
 NARROWEST_M, WIDEST_M = 1.0, 12.0  # what is narrower is no width; what is wider counts as that
 
 
-def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float = 4.0) -> FloatArray:
+def width_profile(centre_m: FloatArray, polygon: Polygon | None) -> FloatArray:
     """Return rows (K, 2) of arc length and width in m; the width is that of the normal's part inside the polygon.
 
     The last metre at both ends is left out where the lane is long enough, since end edges may be oblique.
@@ -25,7 +26,7 @@ def width_profile(centre_m: FloatArray, polygon: Polygon | None, step_m: float =
         return np.empty((0, 2))
     total = line_length_m(centre_m)
     rim = min(1.0, 0.2 * total)
-    s = np.linspace(rim, total - rim, max(3, int(total / step_m) + 1))
+    s = np.linspace(rim, total - rim, max(3, int(total / SPACING_M) + 1))
     points, yaw = polyline.at(centre_m, s), polyline.heading(centre_m, s)
     normal = REACH_M * np.stack((-np.sin(yaw), np.cos(yaw)), axis=-1)
     rays = shapely.linestrings(np.stack((points - normal, points + normal), axis=1))

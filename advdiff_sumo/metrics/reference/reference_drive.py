@@ -7,7 +7,6 @@ in its corridor. What that adds to the regulation stands in ``docs/reference-dri
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -87,11 +86,10 @@ def drive_reference(
     road: RoadMap,
     collision: Collision | Encounter,
     model: str = HUMAN.name,
-    lookback_s: float = LOOKBACK_S,
 ) -> ReferenceDrive:
     """Return the drive of the reference driver *model* in the target's place.
 
-    It takes over at the last instant at which its own model calls the situation safe, at most *lookback_s* before
+    It takes over at the last instant at which its own model calls the situation safe, at most ``LOOKBACK_S`` before
     the contact; where the target drove past a stop line that binds, before that. A pure function.
 
     Args:
@@ -99,12 +97,11 @@ def drive_reference(
         road: its map.
         collision: the target's collision, or the encounter it belongs to.
         model: a name of :data:`.driver_models.MODELS`.
-        lookback_s: as above.
 
     Raises:
         UnknownNameError: no such model.
     """
-    return ReferenceDrivers(record, road, collision, lookback_s).drive(model)
+    return ReferenceDrivers(record, road, collision, LOOKBACK_S).drive(model)
 
 
 class ReferenceDrivers:
@@ -360,9 +357,8 @@ def drive_all(
     record: EpisodeRecord,
     road: RoadMap,
     collision: Collision | Encounter,
-    models: Sequence[str] = tuple(MODELS),
     lookback_s: float = LOOKBACK_S,
 ) -> dict[str, ReferenceDrive]:
-    """Return :func:`drive_reference` for each of *models*, what they perceive worked out once."""
+    """Return :func:`drive_reference` for every model, what they perceive worked out once."""
     drivers = ReferenceDrivers(record, road, collision, lookback_s)
-    return {model: drivers.drive(model) for model in models}
+    return {model: drivers.drive(model) for model in MODELS}

@@ -161,7 +161,7 @@ def _foes(
         return []
     foes = []
     for n, way in enumerate(ways):
-        ahead = way.next_link(0.5 * float(others.size_m[way.other, 0]), 0.0)
+        ahead = way.next_link(0.5 * float(others.size_m[way.other, 0]))
         if ahead is None:
             continue
         theirs, to_stop = ahead

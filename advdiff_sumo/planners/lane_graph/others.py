@@ -70,15 +70,10 @@ class PossibleWay:
         lanes = self.path.lanes
         return bool(lanes) and lanes[self.path.lane_at(self.s_m)].startswith(":")
 
-    def next_link(self, front_m: float, passed_m: float) -> tuple[Link, float] | None:
-        """Return the first link not left behind and the distance of the front to its stop line.
-
-        Args:
-            front_m: distance from centre to front bumper.
-            passed_m: how far the centre may be beyond the junction until the link is left behind.
-        """
+    def next_link(self, front_m: float) -> tuple[Link, float] | None:
+        """Return the first link not left behind and how far its line is from the front, *front_m* before the centre."""
         for link, stop, beyond in zip(self.path.links, self.path.stop_m, self.path.exit_m, strict=True):
-            if self.s_m < beyond + passed_m:
+            if self.s_m < beyond:
                 return link, stop - (self.s_m + front_m)
         return None
 

@@ -109,7 +109,7 @@ def _poses(
 def _stop_m(road: RoadMap, scene: Scene, others: Others, way: PossibleWay, ego: Ego) -> float:
     """Return how far the road user may drive until it must have stopped; inf for no end."""
     front = 0.5 * float(others.size_m[way.other, 0])
-    next_link = way.next_link(front, 0.0)
+    next_link = way.next_link(front)
     if next_link is None or next_link[1] < -1.0:
         return np.inf
     link, distance = next_link

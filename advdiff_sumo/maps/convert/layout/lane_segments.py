@@ -32,38 +32,34 @@ class Piece(NamedTuple):
         return self.to_m - self.from_m
 
 
-def cut_lanes(
-    lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float = UNEVEN_M
-) -> dict[int, list[Piece]]:
+def cut_lanes(lengths_m: Sequence[float], pairs: Sequence[SideBySide]) -> dict[int, list[Piece]]:
     """Return the pieces of each lane, in driving direction; a lane without a cut is one piece.
 
-    A lane is cut where a neighbour begins or ends more than *uneven_m* away from its own ends, and where lanes
+    A lane is cut where a neighbour begins or ends more than ``UNEVEN_M`` away from its own ends, and where lanes
     alongside are cut, so that all lanes of a road are cut abreast.
     """
-    marks = _spread(_own_marks(lengths_m, pairs, uneven_m), lengths_m, pairs, uneven_m)
-    return {lane: _between(lane, length, marks[lane], uneven_m) for lane, length in enumerate(lengths_m)}
+    marks = _spread(_own_marks(lengths_m, pairs), lengths_m, pairs)
+    return {lane: _between(lane, length, marks[lane]) for lane, length in enumerate(lengths_m)}
 
 
 Mark = tuple[float, bool]  # arc length, whether a neighbour ends (rather than begins) there
 
 
-def _own_marks(
-    lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float
-) -> list[tuple[int, Mark]]:
+def _own_marks(lengths_m: Sequence[float], pairs: Sequence[SideBySide]) -> list[tuple[int, Mark]]:
     """Return (lane, mark) where a neighbour comes or goes in the middle of a lane."""
     marks: list[tuple[int, Mark]] = []
     for pair in pairs:
         for lane in (pair.left, pair.right):
             first, last = pair.span(lane)
-            if first > uneven_m:
+            if first > UNEVEN_M:
                 marks.append((lane, (first, False)))
-            if last < lengths_m[lane] - uneven_m:
+            if last < lengths_m[lane] - UNEVEN_M:
                 marks.append((lane, (last, True)))
     return marks
 
 
 def _spread(
-    own: list[tuple[int, Mark]], lengths_m: Sequence[float], pairs: Sequence[SideBySide], uneven_m: float
+    own: list[tuple[int, Mark]], lengths_m: Sequence[float], pairs: Sequence[SideBySide]
 ) -> list[list[Mark]]:
     """Return all marks of each lane after carrying each over to the lanes abreast."""
     beside: list[list[SideBySide]] = [[] for _ in lengths_m]
@@ -81,17 +77,17 @@ def _spread(
             other = pair.right if lane == pair.left else pair.left
             first, last = pair.span(lane)
             there = pair.across(lane, s)
-            if first <= s <= last and uneven_m < there < lengths_m[other] - uneven_m:
+            if first <= s <= last and UNEVEN_M < there < lengths_m[other] - UNEVEN_M:
                 queue.append((other, (there, ends)))
     return marks
 
 
-def _between(lane: int, length: float, marks: list[Mark], uneven_m: float) -> list[Piece]:
+def _between(lane: int, length: float, marks: list[Mark]) -> list[Piece]:
     """Return what is left of a lane between its cuts; cuts that lie near each other are one."""
     cuts: list[list[float]] = []
     for s, ends in sorted(marks):
         low, high = (s, s + CUT_M) if ends else (s - CUT_M, s)
-        if cuts and low - cuts[-1][1] < uneven_m:
+        if cuts and low - cuts[-1][1] < UNEVEN_M:
             cuts[-1][1] = max(cuts[-1][1], high)
         else:
             cuts.append([low, high])

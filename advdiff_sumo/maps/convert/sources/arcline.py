@@ -22,7 +22,6 @@ MOST_TURNS = 50  # a path that turns round more often is no lane, and takes long
 
 def sample_path(
     pieces: Sequence[Mapping[str, Any]],
-    sagitta_m: float = SAGITTA_M,
     longest_m: float = math.inf,
     notes: Counter[str] | None = None,
 ) -> FloatArray:
@@ -31,7 +30,6 @@ def sample_path(
     Args:
         pieces: records with ``start_pose`` [x, y, yaw], ``shape`` (three of L, S, R), ``radius`` in m and
             ``segment_length`` (three arc lengths in m); an ``end_pose``, where there is one, is checked.
-        sagitta_m: largest distance between a chord and its arc.
         longest_m: a longer path is refused before it is sampled.
         notes: counts start headings that were turned by half a turn and put right by the end pose.
 
@@ -47,7 +45,7 @@ def sample_path(
         raise ValueError(f"the path is {total:.0f} m long, more than the map's extent of {longest_m:.0f} m")
     points: list[tuple[float, float]] = []
     for piece in parsed:
-        part = _checked(piece, sagitta_m, notes)
+        part = _checked(piece, notes)
         if points and math.dist(points[-1], part[0]) > CHAIN_GAP_M:
             raise ValueError(f"a piece begins {math.dist(points[-1], part[0]):.1f} m from the one before")
         points += part
@@ -97,13 +95,13 @@ def _end_pose(value: Any) -> tuple[float, float, float] | None:
     return x, y, yaw
 
 
-def _checked(piece: _DubinsPiece, sagitta_m: float, notes: Counter[str] | None) -> list[tuple[float, float]]:
+def _checked(piece: _DubinsPiece, notes: Counter[str] | None) -> list[tuple[float, float]]:
     """Return the points of *piece*, which must end at its stated end pose; a heading turned by π is put right."""
     yaw = piece.start[2]
-    points = _integrate(piece, yaw, sagitta_m)
+    points = _integrate(piece, yaw)
     if piece.end is None or math.dist(points[-1], piece.end[:2]) <= END_GAP_M:
         return points
-    turned = _integrate(piece, yaw + math.pi, sagitta_m)
+    turned = _integrate(piece, yaw + math.pi)
     if math.dist(turned[-1], piece.end[:2]) <= END_GAP_M:
         if notes is not None:
             notes["start headings turned by half a turn, put right"] += 1
@@ -111,25 +109,25 @@ def _checked(piece: _DubinsPiece, sagitta_m: float, notes: Counter[str] | None) 
     raise ValueError(f"its arcs end {math.dist(points[-1], piece.end[:2]):.1f} m from the stated end_pose")
 
 
-def _integrate(piece: _DubinsPiece, yaw: float, sagitta_m: float) -> list[tuple[float, float]]:
+def _integrate(piece: _DubinsPiece, yaw: float) -> list[tuple[float, float]]:
     points = [piece.start[:2]]
     for turn, length in zip(piece.turns, piece.lengths_m, strict=True):
         if length > 0:
-            arc = _segment(points[-1], yaw, turn / piece.radius_m if turn else 0.0, length, sagitta_m)
+            arc = _segment(points[-1], yaw, turn / piece.radius_m if turn else 0.0, length)
             points += arc
             yaw += turn * length / piece.radius_m if turn else 0.0
     return points
 
 
 def _segment(
-    start: tuple[float, float], yaw: float, curvature: float, length: float, sagitta_m: float
+    start: tuple[float, float], yaw: float, curvature: float, length: float
 ) -> list[tuple[float, float]]:
     """Return the points after *start* along a straight line or an arc of constant curvature."""
     x, y = start
     if curvature == 0.0:
         return [(x + length * math.cos(yaw), y + length * math.sin(yaw))]
     radius = 1.0 / abs(curvature)
-    chord_angle = 2.0 * math.acos(max(1.0 - sagitta_m / radius, 0.0))
+    chord_angle = 2.0 * math.acos(max(1.0 - SAGITTA_M / radius, 0.0))
     count = max(1, math.ceil(length * abs(curvature) / chord_angle))
     angles = yaw + curvature * length * np.arange(1, count + 1) / count
     xs = x + (np.sin(angles) - math.sin(yaw)) / curvature

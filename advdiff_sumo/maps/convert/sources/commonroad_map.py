@@ -167,7 +167,7 @@ def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapF
         speed_mps=min(speeds, default=None),
         successors=tuple(_refs(row, "successor")),
         predecessors=tuple(_refs(row, "predecessor")),
-        left_neighbour=_same_way(row, "adjacentLeft"),
+        left_neighbour=_left_neighbour(row),
         left_dashed=_dashed(row, "leftBound"),
         right_dashed=_dashed(row, "rightBound"),
     )
@@ -177,8 +177,8 @@ def _refs(row: Element, tag: str) -> list[str]:
     return [reference.get("ref", "") for reference in row.iterfind(tag)]
 
 
-def _same_way(row: Element, tag: str) -> str | None:
-    beside = row.find(tag)
+def _left_neighbour(row: Element) -> str | None:
+    beside = row.find("adjacentLeft")
     return beside.get("ref") if beside is not None and beside.get("drivingDir") == "same" else None
 
 

@@ -43,7 +43,7 @@ def payoffs(
         stretches: how many.
     """
     steps = options.execute * stretches
-    cut = Rollout(*(value[:, :, :steps] for value in vars(path).values()))
+    cut = first_steps(path, steps)
     shape = (batch.scenes, stretches, -1)
     gap = target_gap(finer(cut, batch), batch, target).amin(1).reshape(shape).amin(-1)  # (B, S)
     near = torch.exp(-gap.clamp(min=0.0) / options.reach_m)
@@ -51,6 +51,11 @@ def payoffs(
     road = over_edge(cut, batch, target).reshape(shape).amax(-1)
     reward = near - options.vehicles * vehicles.clamp(max=1.0) - options.road * road.clamp(max=1.0)
     return [Payoff(reward[:, i], gap[:, i] <= 0.0) for i in range(stretches)]
+
+
+def first_steps(path: Rollout, steps: int) -> Rollout:
+    """Return the first *steps* instants of *path*."""
+    return Rollout(*(value[:, :, :steps] for value in vars(path).values()))
 
 
 def finer(path: Rollout, batch: SceneBatch) -> Rollout:

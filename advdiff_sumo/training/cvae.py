@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -17,7 +17,7 @@ from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.own_samples import both, faults, sample_judge
 from advdiff_sumo.training.presets import DecoderOptions, ElboOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 _KL_START = 0.01
 
@@ -37,7 +37,7 @@ class Encoded:
     rollout: Rollout
 
 
-class TrafficStage:
+class TrafficStage(BundleStage):
     """Trains the traffic VAE.
 
     Args:
@@ -57,14 +57,13 @@ class TrafficStage:
         sampled: DecoderOptions | None = None,
         compiled: bool = False,
     ) -> None:
-        self._bundle, self.options, self.sampled = bundle, options, sampled or DecoderOptions()
+        super().__init__(bundle, bundle.traffic)
+        self.options, self.sampled = options, sampled or DecoderOptions()
         self._judge = sample_judge(compiled)
-        self.module: nn.Module = bundle.traffic
-        self.beside: nn.Module = nn.Module()
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the negative ELBO and its parts."""
-        model, options = self._bundle.traffic, self.options
+        model, options = self.bundle.traffic, self.options
         terms, encoded, _ = self._terms(batch, kl_share(moment.progress, options), moment.generator)
         if options.prior_weight > 0.0:
             drawn = encoded.context.prior.sample(moment.generator)
@@ -75,7 +74,7 @@ class TrafficStage:
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss at the full weight of KL, and displacements from posterior and prior."""
-        model = self._bundle.traffic
+        model = self.bundle.traffic
         terms, encoded, free = self._terms(batch, 1.0, generator)
         tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
         if free is not None:
@@ -93,7 +92,7 @@ class TrafficStage:
 
         It teaches the decoder alone.
         """
-        model, options = self._bundle.traffic, self.options
+        model, options = self.bundle.traffic, self.options
         if options.samples == 0.0:
             encoded = encode(model, batch, generator)
             return elbo(encoded, batch, options, share), encoded, None
@@ -107,13 +106,6 @@ class TrafficStage:
         wrong = self._judge(free, batch, self.sampled)
         terms["loss"] = terms["loss"] + options.samples * torch.stack(list(wrong.values())).sum()
         return terms | wrong, encoded, free
-
-    def after_step(self) -> None:
-        """Do nothing."""
-
-    def bundle(self) -> Bundle:
-        """Return the bundle with the trained model."""
-        return self._bundle
 
 
 def encode(model: TrafficModel, batch: SceneBatch, generator: torch.Generator) -> Encoded:

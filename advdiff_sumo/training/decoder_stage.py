@@ -12,7 +12,7 @@ import copy
 from dataclasses import replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from advdiff_sumo.diffusion.sample_refinement import Together, misfit
 from advdiff_sumo.models.batch import SceneBatch
@@ -26,12 +26,12 @@ from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.own_samples import both, faults, sample_judge
 from advdiff_sumo.training.presets import DecoderOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 _FAULTY = 1e-3
 
 
-class DecoderStage:
+class DecoderStage(BundleStage):
     """Trains the decoder; encoder, posterior, codec, denoiser and reward model are frozen.
 
     Args:
@@ -48,26 +48,25 @@ class DecoderStage:
         self, bundle: Bundle, began: Decoder, options: DecoderOptions, compiled: bool = False
     ) -> None:
         assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - setup refuses others for this stage
-        self._bundle, self.options = bundle, options
-        self._judge = sample_judge(compiled)
         bundle.frozen()
         decoder = bundle.traffic.decoder
+        super().__init__(bundle, decoder.requires_grad_(True))
+        self.options = options
+        self._judge = sample_judge(compiled)
         here = decoder.start.weight.device
         self._began = copy.deepcopy(began).eval().requires_grad_(False).to(here)
-        self.module: nn.Module = decoder.requires_grad_(True)
-        self.beside: nn.Module = nn.Module()
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the weighted sum and its terms."""
         context, latents, before = self._latents(batch, moment.generator)
-        known, free = both(self._bundle.traffic.decoder, latents, (context.h, context.h), batch)
+        known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         return self._terms(known, free, before, batch)
 
     @torch.no_grad()
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss, displacements of posterior and sample, and how often samples touch or leave the road."""
         context, latents, before = self._latents(batch, generator)
-        known, free = both(self._bundle.traffic.decoder, latents, (context.h, context.h), batch)
+        known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
         return {
             **{name: (float(value) * weight, weight) for name, value in terms.items()},
@@ -76,22 +75,15 @@ class DecoderStage:
             **faults(free, batch),
         }
 
-    def after_step(self) -> None:
-        """Do nothing."""
-
-    def bundle(self) -> Bundle:
-        """Return the bundle with the trained decoder."""
-        return self._bundle
-
     @torch.no_grad()
     def _latents(
         self, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[Context, tuple[Tensor, Tensor], Rollout]:
         """Return the context, latents (B, A, Z) of posterior and denoiser, and what those led to at the beginning."""
-        traffic, codec = self._bundle.traffic, self._bundle.codec
+        traffic, codec = self.bundle.traffic, self.bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)
-        scaled = diffused(self._bundle, context, self.options.sampling_steps, generator)
+        scaled = diffused(self.bundle, context, self.options.sampling_steps, generator)
         drawn = codec.unscale(scaled)[:, :, 0]
         return context, (posterior, drawn), self._began(drawn, context.h, batch)
 

@@ -19,7 +19,7 @@ from advdiff_sumo.models.losses import masked_mean
 from advdiff_sumo.training.cvae import modelled
 from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.presets import DenoiserOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 _JUDGED_STEPS = 10
 _STANDS_MPS = 0.3
@@ -28,7 +28,7 @@ _PLANS_BEGIN = (
 )
 
 
-class DenoiserStage:
+class DenoiserStage(BundleStage):
     """Trains the denoiser alone.
 
     Args:
@@ -40,39 +40,29 @@ class DenoiserStage:
     monitor = "noise"
 
     def __init__(self, bundle: Bundle, options: DenoiserOptions | None = None) -> None:
-        self._bundle, self._options = bundle, options or DenoiserOptions()
+        # the codec's scale is no parameter, but later stages and a resumed run need it
+        super().__init__(bundle, nn.ModuleDict({"denoiser": bundle.denoiser, "codec": bundle.codec}))
+        self._options = options or DenoiserOptions()
         self.schedule = schedule_of(bundle)
         bundle.traffic.eval().requires_grad_(False)
-        # the codec's scale is no parameter, but later stages and a resumed run need it
-        self.module: nn.Module = nn.ModuleDict({"denoiser": bundle.denoiser, "codec": bundle.codec})
-        self.beside: nn.Module = nn.Module()
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the noise loss of the windows at one random diffusion step each."""
         with torch.no_grad():
-            context = self._bundle.traffic.encoder(batch)
-            x0 = clean(self._bundle, batch, context, moment.generator)
-            weight = loss_weight(self._bundle, batch, context, self._options)
+            context = self.bundle.traffic.encoder(batch)
+            x0 = clean(self.bundle, batch, context, moment.generator)
+            weight = loss_weight(self.bundle, batch, context, self._options)
         k = random_steps(batch, self.schedule, moment.generator)
-        net, generator = self._bundle.denoiser, moment.generator
+        net, generator = self.bundle.denoiser, moment.generator
         loss = noise_loss(net, x0, context, batch, self.schedule, k, generator, weight)
         if not self._options.samples:
             return {"loss": loss}
-        score = sample_score(
-            self._bundle, x0, context, batch, self._options.sampling_steps, generator, weight
-        )
+        score = sample_score(self.bundle, x0, context, batch, self._options.sampling_steps, generator, weight)
         return {"loss": loss + self._options.samples * score, "noise": loss, "score": score}
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the noise loss at steps spread over the schedule, and the displacement of one sample."""
-        return judge(self._bundle, batch, generator)
-
-    def after_step(self) -> None:
-        """Do nothing."""
-
-    def bundle(self) -> Bundle:
-        """Return the bundle with the trained denoiser."""
-        return self._bundle
+        return judge(self.bundle, batch, generator)
 
 
 def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tally:

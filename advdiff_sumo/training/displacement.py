@@ -27,11 +27,11 @@ class Displacement:
 
     def ade_sum(self) -> tuple[float, float]:
         """Return the sum of the mean errors and the number of vehicles."""
-        return _sum(self.ade_m, self.mask)
+        return masked_sum(self.ade_m, self.mask)
 
     def fde_sum(self) -> tuple[float, float]:
         """Return the sum of the final errors and the number of vehicles."""
-        return _sum(self.fde_m, self.mask)
+        return masked_sum(self.fde_m, self.mask)
 
 
 def driving(batch: SceneBatch) -> Tensor:
@@ -56,5 +56,6 @@ def logged(batch: SceneBatch) -> Rollout:
     return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)
 
 
-def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
+def masked_sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
+    """Return the sum of *value* where *mask* holds, and of how many."""
     return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())

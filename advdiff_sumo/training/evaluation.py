@@ -20,7 +20,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
-from advdiff_sumo.training.displacement import driving, logged
+from advdiff_sumo.training.displacement import driving, logged, masked_sum
 from advdiff_sumo.training.driving_penalties import travelled_m
 from advdiff_sumo.training.open_loop import Draw, JudgedWindows, by_diffusion, from_prior, judge
 from advdiff_sumo.training.stage import Tally, add, means
@@ -144,14 +144,14 @@ def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None
     judged = judge(rollout, several, times)
     ade, fde, who = judged.ade_m, judged.fde_m, judged.driving
     parts: dict[str, tuple[float, float]] = {
-        "ade_m": _sum(ade.mean(1), who),
-        "fde_m": _sum(fde.mean(1), who),
-        "min_ade_m": _sum(ade.amin(1), who),
-        "min_fde_m": _sum(fde.amin(1), who),
-        "min_sfde_m": _sum(judged.sfde_m, who.any(1)),
+        "ade_m": masked_sum(ade.mean(1), who),
+        "fde_m": masked_sum(fde.mean(1), who),
+        "min_ade_m": masked_sum(ade.amin(1), who),
+        "min_fde_m": masked_sum(fde.amin(1), who),
+        "min_sfde_m": masked_sum(judged.sfde_m, who.any(1)),
     }
     if times > 1:
-        parts["fdd_m"] = _sum(judged.spread_m, who)
+        parts["fdd_m"] = masked_sum(judged.spread_m, who)
     add(sums.tally, parts)
     sums.count(judged, _standing(rollout, several))
 
@@ -169,10 +169,6 @@ def _figures(one: _Sums, log: _Sums) -> Figures:
         figures["jsd_speed"] = float(jensen_shannon(one.speed, log.speed))
         figures["jsd_accel"] = float(jensen_shannon(one.accel, log.accel))
     return figures
-
-
-def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
-    return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())
 
 
 def columns(figures: dict[str, Figures]) -> list[str]:

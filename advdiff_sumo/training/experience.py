@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -13,7 +13,7 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
-from advdiff_sumo.training.adversarial_reward import Payoff, payoffs
+from advdiff_sumo.training.adversarial_reward import Payoff, first_steps, payoffs
 from advdiff_sumo.training.dataset import join
 from advdiff_sumo.training.denoiser_stage import diffused, schedule_of
 from advdiff_sumo.training.presets import RewardOptions
@@ -157,20 +157,8 @@ def from_logs(
         context = bundle.traffic.encoder(batch)
         action = random_action(bundle, context, options, generator)
         path = decoded(bundle, action, context, batch, target)
-        experience = observed(batch, _first(path, steps), target, action, options)
-        yield Experience(
-            experience.state,
-            target,
-            action,
-            experience.gain,
-            experience.remains,
-            experience.after,
-            alive.to(experience.gain),
-        )
+        experience = observed(batch, first_steps(path, steps), target, action, options)
+        yield replace(experience, weight=alive.to(experience.gain))
         first = payoffs(path, batch, target, options, 1)[0]
         alive = alive & ~first.contact
         batch = batch.advanced(path.states()[:, :, : options.execute])
-
-
-def _first(path: Rollout, steps: int) -> Rollout:
-    return Rollout(*(value[:, :, :steps] for value in vars(path).values()))

@@ -29,10 +29,10 @@ from advdiff_sumo.training.denoiser_stage import (
 )
 from advdiff_sumo.training.displacement import logged
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 
-class JointStage:
+class JointStage(BundleStage):
     """Trains traffic model and denoiser by L_ELBO + L_noise + P_coll.
 
     z̃⁰ carries no gradient in L_noise: otherwise the posterior could lower it by giving up information.
@@ -47,7 +47,7 @@ class JointStage:
     monitor = "loss"
 
     def __init__(self, bundle: Bundle, elbo_options: ElboOptions, options: CollisionOptions) -> None:
-        self._bundle, self.elbo_options, self.options = bundle, elbo_options, options
+        self.elbo_options, self.options = elbo_options, options
         self.schedule = schedule_of(bundle)
         self._began = copy.deepcopy(bundle.denoiser).eval().requires_grad_(False)
         parts: dict[str, nn.Module] = {"denoiser": bundle.denoiser, "codec": bundle.codec}
@@ -55,8 +55,7 @@ class JointStage:
             parts["traffic"] = bundle.traffic
         else:
             bundle.traffic.eval().requires_grad_(False)
-        self.module: nn.Module = nn.ModuleDict(parts)
-        self.beside: nn.Module = nn.Module()
+        super().__init__(bundle, nn.ModuleDict(parts))
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return L_joint and its parts."""
@@ -67,22 +66,15 @@ class JointStage:
         """Return the loss, and the displacements of both parts."""
         k = random_steps(batch, self.schedule, generator)
         terms = self._terms(batch, k, 1.0, generator)
-        tally = TrafficStage(self._bundle, self.elbo_options).evaluate(batch, generator)
-        tally |= judge(self._bundle, batch, generator)
+        tally = TrafficStage(self.bundle, self.elbo_options).evaluate(batch, generator)
+        tally |= judge(self.bundle, batch, generator)
         weight = float(batch.scenes)
         return tally | {name: (float(value) * weight, weight) for name, value in terms.items()}
-
-    def after_step(self) -> None:
-        """Do nothing."""
-
-    def bundle(self) -> Bundle:
-        """Return the bundle with the trained models."""
-        return self._bundle
 
     def _terms(
         self, batch: SceneBatch, k: Tensor, share: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
-        bundle, options = self._bundle, self.options
+        bundle, options = self.bundle, self.options
         terms, rollouts, context = self._likely(batch, share, generator)
         with torch.no_grad():
             x0 = clean(bundle, batch, context, generator)
@@ -104,7 +96,7 @@ class JointStage:
         self, batch: SceneBatch, share: float, generator: torch.Generator
     ) -> tuple[dict[str, Tensor], list[tuple[Rollout, float]], Context]:
         """Return the ELBO's terms, the posterior's futures and the context; of a fixed traffic model the last."""
-        traffic = self._bundle.traffic
+        traffic = self.bundle.traffic
         if not self.options.traffic:
             with torch.no_grad():
                 return {"loss": batch.past.new_zeros(())}, [], traffic.encoder(batch)
@@ -120,13 +112,13 @@ class JointStage:
             return [], unmoved
         if options.samples == "prior":
             drawn = context.prior.sample(generator)
-            return [(self._bundle.traffic.decoder(drawn, context.h, batch), 1.0)], unmoved
+            return [(self.bundle.traffic.decoder(drawn, context.h, batch), 1.0)], unmoved
         if options.samples == "denoiser":
             rollout, weight, strayed = self._foreseen(_fixed(context), batch, generator)
             return [(rollout, weight)], strayed
         with torch.no_grad():
-            drawn = diffused(self._bundle, context, options.sampling_steps, generator)
-        return [(self._bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
+            drawn = diffused(self.bundle, context, options.sampling_steps, generator)
+        return [(self.bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
 
     def _foreseen(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
@@ -136,7 +128,7 @@ class JointStage:
         Early predictions blur what may happen: they count less, by α. The third value is ‖ε − ε of the beginning‖²
         there, the mean over vehicles and numbers.
         """
-        bundle, sampling = self._bundle, Sampling(steps=self.options.sampling_steps)
+        bundle, sampling = self.bundle, Sampling(steps=self.options.sampling_steps)
         done = int(torch.randint(sampling.steps, (), generator=generator))
         shape = (*context.h.shape[:2], *bundle.codec.shape)
         start = torch.randn(shape, generator=generator).to(context.h)

@@ -12,6 +12,7 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.reward import RewardModel
 from advdiff_sumo.training.adversarial_reward import payoffs
+from advdiff_sumo.training.displacement import masked_sum
 from advdiff_sumo.training.experience import (
     Experience,
     decoded,
@@ -23,12 +24,12 @@ from advdiff_sumo.training.experience import (
 )
 from advdiff_sumo.training.gradient_alignment import agreement_of, direction_loss
 from advdiff_sumo.training.presets import RewardOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 _CHOICES = 6
 
 
-class RewardStage:
+class RewardStage(BundleStage):
     """Trains Q alone.
 
     Args:
@@ -40,25 +41,24 @@ class RewardStage:
     monitor = "regret"
 
     def __init__(self, bundle: Bundle, options: RewardOptions) -> None:
-        self._bundle, self.options = bundle, options
         for frozen in (bundle.traffic, bundle.denoiser):
             frozen.eval().requires_grad_(False)
         self._target = copy.deepcopy(bundle.reward).requires_grad_(False)
-        self.module: nn.Module = bundle.reward
-        self.beside: nn.Module = self._target
+        super().__init__(bundle, bundle.reward, self._target)
+        self.options = options
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return L_Q over the experiences that the windows give, with the mean value and rate of contact."""
-        experiences = list(from_logs(self._bundle, batch, self.options, moment.generator))
+        experiences = list(from_logs(self.bundle, batch, self.options, moment.generator))
         terms = [
-            q_loss(self._bundle, self._target, one, self.options, moment.generator) for one in experiences
+            q_loss(self.bundle, self._target, one, self.options, moment.generator) for one in experiences
         ]
         weight = sum(float(one.weight.sum()) for one in experiences)
         loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
         value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
         direction = loss.new_zeros(())
         if experiences and self.options.direction > 0.0:
-            direction = direction_loss(self._bundle, experiences[0], self.options, moment.generator)
+            direction = direction_loss(self.bundle, experiences[0], self.options, moment.generator)
         contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in experiences) / max(
             weight, 1.0
         )
@@ -81,15 +81,15 @@ class RewardStage:
         best = worth.amax(1)
         chosen = worth.gather(1, liked.argmax(1, keepdim=True)).squeeze(1)
         tally = {
-            "regret": _sum(best - chosen, usable),
-            "chance": _sum(best - worth.mean(1), usable),
+            "regret": masked_sum(best - chosen, usable),
+            "chance": masked_sum(best - worth.mean(1), usable),
         }
-        experiences = list(from_logs(self._bundle, batch, self.options, generator))
-        losses = [q_loss(self._bundle, self._target, one, self.options, generator)[0] for one in experiences]
+        experiences = list(from_logs(self.bundle, batch, self.options, generator))
+        losses = [q_loss(self.bundle, self._target, one, self.options, generator)[0] for one in experiences]
         weight = sum(float(one.weight.sum()) for one in experiences)
         tally |= {"td": (float(torch.stack(losses).sum()), weight)}
         if experiences:
-            agreement = agreement_of(self._bundle, experiences[0], self.options, generator)
+            agreement = agreement_of(self.bundle, experiences[0], self.options, generator)
             tally["direction"] = (
                 float((1.0 - agreement.cosine)[agreement.counts].sum()),
                 float(agreement.counts.sum()),
@@ -98,15 +98,11 @@ class RewardStage:
 
     def after_step(self) -> None:
         """Let the target network follow."""
-        follow(self._target, self._bundle.reward, self.options.target_decay)
-
-    def bundle(self) -> Bundle:
-        """Return the bundle with the trained reward model."""
-        return self._bundle
+        follow(self._target, self.bundle.reward, self.options.target_decay)
 
     def _choices(self, batch: SceneBatch, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Return worth and Q (B, 6) of random actions, and where (B,) the target's log is long enough."""
-        bundle, options = self._bundle, self.options
+        bundle, options = self.bundle, self.options
         stretches = batch.future.shape[2] // options.execute
         target, usable = pick_target(batch, stretches * options.execute, generator)
         context = bundle.traffic.encoder(batch)
@@ -159,7 +155,3 @@ def follow(target: nn.Module, source: nn.Module, decay: float) -> None:
     """Move the weights of *target* towards those of *source*, keeping the share *decay*."""
     for mine, theirs in zip(target.parameters(), source.parameters(), strict=True):
         mine.lerp_(theirs, 1.0 - decay)
-
-
-def _sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
-    return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())

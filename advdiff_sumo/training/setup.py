@@ -105,7 +105,7 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
         bundle.traffic.decoder.compile_step()
 
     def keep(progress: TrainingProgress) -> None:
-        save_bundle(stage.bundle(), plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
+        save_bundle(bundle, plan.out / WEIGHTS, _stages(bundle, plan.stage), _card(plan, progress))
 
     return _job(plan, stage, options, windows, (train, held_out), keep, device)
 

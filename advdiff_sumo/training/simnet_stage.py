@@ -21,10 +21,10 @@ from advdiff_sumo.training import realism
 from advdiff_sumo.training.cvae import known_mean
 from advdiff_sumo.training.displacement import displacement, driving
 from advdiff_sumo.training.presets import SimnetOptions
-from advdiff_sumo.training.stage import Moment, Tally
+from advdiff_sumo.training.stage import Moment, Stage, Tally
 
 
-class SimnetStage:
+class SimnetStage(Stage):
     """Trains SimNet.
 
     Args:
@@ -60,9 +60,6 @@ class SimnetStage:
             "collision_rate": (float(realism.colliding(rollout, batch, there).sum()), count),
             "off_road_rate": (float(realism.leaving_road(rollout, batch, there).sum()), count),
         }
-
-    def after_step(self) -> None:
-        """Do nothing."""
 
 
 def unrolled_steps(progress: float, options: SimnetOptions) -> int:

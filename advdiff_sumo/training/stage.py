@@ -60,16 +60,16 @@ class Stage(Protocol):
         ...
 
     def after_step(self) -> None:
-        """Do what follows a step of the optimiser."""
-        ...
+        """Do what follows a step of the optimiser: mostly nothing."""
+        return
 
 
-class BundleStage(Stage, Protocol):
-    """A stage that trains a part of a bundle."""
+class BundleStage(Stage):
+    """A stage that trains *module*, a part of *bundle*, in place."""
 
-    def bundle(self) -> Bundle:
-        """Return all modules, as they are saved for later stages and for runs."""
-        ...
+    def __init__(self, bundle: Bundle, module: nn.Module, beside: nn.Module | None = None) -> None:
+        self.bundle, self.module = bundle, module
+        self.beside = nn.Module() if beside is None else beside
 
 
 def add(total: Tally, more: Mapping[str, tuple[float, float]]) -> None:

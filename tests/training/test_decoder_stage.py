@@ -116,7 +116,7 @@ def test_it_learns_and_leaves_all_but_the_decoder_alone(bundle: Bundle, batch: S
     stage = stage_of(bundle)
 
     def others() -> dict[str, Tensor]:
-        whole = stage.bundle().tensors()
+        whole = stage.bundle.tensors()
         return {n: v.clone() for n, v in whole.items() if not n.startswith("traffic.decoder.")}
 
     kept, before = others(), means(stage.evaluate(batch, moment().generator))

@@ -211,7 +211,7 @@ def test_sizes_of_a_new_denoiser_are_those_that_are_asked_for(window_folder: Pat
     run(job(window_folder, init, "traffic", None, "epochs=1"))
     own = job(window_folder, tmp_path / "own", "denoiser", init, "model.denoiser_layers=0")
     usual = job(window_folder, tmp_path / "usual", "denoiser", init)
-    sizes = [made.stage.bundle().options.model for made in (own, usual)]
+    sizes = [made.stage.bundle.options.model for made in (own, usual)]
     assert [size.denoiser_layers for size in sizes] == [0, 1]
     assert sizes[0].model_copy(update={"denoiser_layers": 1}) == sizes[1]
     with pytest.raises(
@@ -234,12 +234,12 @@ def test_a_denoiser_that_is_trained_on_keeps_its_sizes_and_noise(window_folder: 
         more = ["model.denoiser_situation=true"] if stage == "denoiser" else []
         made = job(window_folder, tmp_path / stage, stage, known, *more)
         assert (made.options.diffusion_steps, made.options.noise_schedule) == (20, "linear")
-        assert made.stage.bundle().options.schedule == "linear"
+        assert made.stage.bundle.options.schedule == "linear"
         assert made.options.model.denoiser_situation == (stage == "denoiser")
     with pytest.raises(ConfigError, match="diffusion_steps = 50: the denoiser"):
         job(window_folder, tmp_path / "refused", "reward", known, "diffusion_steps=50")
     anew = job(window_folder, tmp_path / "anew", "denoiser", init, "diffusion_steps=50")
-    assert anew.stage.bundle().options.diffusion_steps == 50
+    assert anew.stage.bundle.options.diffusion_steps == 50
 
 
 def far(folder: Path, out: Path) -> Path:

@@ -226,6 +226,11 @@ class RoadMap:
         junction = self.junctions.get(link.junction_id)
         return frozenset() if junction is None else junction.yields_to(link)
 
+    def foes_of(self, link: Link) -> frozenset[int]:
+        """Return the requests of those whose way crosses or joins that of *link*, by the net's rows."""
+        junction = self.junctions.get(link.junction_id)
+        return frozenset() if junction is None else junction.foes.get(link.request_index, frozenset())
+
     def must_yield(self, link: Link, other: Link) -> bool:
         """Return whether who takes *link* must yield to who takes *other*; of other junctions nobody does."""
         return link.junction_id == other.junction_id and other.request_index in self.yields_to(link)

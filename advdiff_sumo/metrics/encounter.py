@@ -199,8 +199,7 @@ def _join(road: RoadMap, first: Link, second: Link) -> bool:
 
 def ways_meet(road: RoadMap, first: Link, second: Link) -> bool:
     """Return whether the ways by two links over the same junction cross or join in the net."""
-    foes = road.junctions[first.junction_id].foes if first.junction_id == second.junction_id else {}
-    return second.request_index in foes.get(first.request_index, frozenset())
+    return first.junction_id == second.junction_id and second.request_index in road.foes_of(first)
 
 
 def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:

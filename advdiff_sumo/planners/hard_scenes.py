@@ -33,10 +33,8 @@ def hard_scenes(scene: Scene) -> dict[str, Scene]:
 def _standing(scene: Scene) -> Scene:
     """Return the scene with the target where it is, standing for as long as its past goes back."""
     history, row = scene.history, scene.target
-    xy, yaw, speed = history.xy_m.copy(), history.yaw_rad.copy(), history.speed_mps.copy()
-    there = history.valid[row]
-    xy[row, there], yaw[row, there], speed[row, there] = xy[row, -1], yaw[row, -1], 0.0
-    return replace(scene, history=replace(history, xy_m=xy, yaw_rad=yaw, speed_mps=speed))
+    stopped = _stopped_at(history, row, history.xy_m[row, -1], float(history.yaw_rad[row, -1]))
+    return replace(scene, history=stopped)
 
 
 def _without_past(scene: Scene) -> Scene:

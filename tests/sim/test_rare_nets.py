@@ -14,7 +14,6 @@ from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.lane_graph.rules import signal_state
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.demand import write_demand
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
@@ -61,7 +60,7 @@ def test_a_link_that_its_light_leaves_alone_has_no_signal(tmp_path: Path) -> Non
     assert turn.tls_index is not None
     assert turn.tls_index >= 0
     red = {str(turn.tls_id): "r" * 12}
-    assert (signal_state(straight, red), signal_state(turn, red)) == ("", "r")
+    assert (straight.signal(red), turn.signal(red)) == ("", "r")
     assert all(index >= 0 for _, index in road.pieces().signal_links)
 
 

@@ -14,7 +14,6 @@ from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import Lane, Link, RoadMap
 from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, with_states
-from advdiff_sumo.planners.lane_graph.rules import signal_state
 
 _STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"
 
@@ -33,7 +32,7 @@ class IgnoredSignals(PlantedFault):
         for link in own_links(road, scene):
             if link.tls_id is None or link.tls_index is None:
                 continue
-            letter, key = signal_state(link, scene.signals), (link.tls_id, link.tls_index)
+            letter, key = link.signal(scene.signals), (link.tls_id, link.tls_index)
             if letter and letter in _STOP:
                 since[key] = (memory or {}).get(key, scene.time_s)
             early = key in since and scene.time_s - since[key] < self.value
@@ -130,8 +129,7 @@ def _links_of(road: RoadMap, route: tuple[str, ...]) -> tuple[Link, ...]:
 
 def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mapping[str, str]:
     """Return *signals* with green for *link* and red for whom it crosses or meets."""
-    junction = road.junctions.get(link.junction_id)
-    foes = junction.foes.get(link.request_index, frozenset()) if junction else frozenset[int]()
+    foes = road.foes_of(link)
     letters = list(signals[link.tls_id or ""])
     for other in road.links.values():
         if other.tls_id == link.tls_id and other.tls_index is not None and other.tls_index < len(letters):

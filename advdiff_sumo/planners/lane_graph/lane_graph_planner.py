@@ -65,7 +65,7 @@ class LaneGraphPlanner:
         """Return 2 s of states at 0.1 s that a bicycle drove, and the new memory."""
         del rng
         steps = round(self.options.horizon_s / STEP_S)
-        state = _state(scene, memory)
+        state = TargetState.of(scene, memory.accel_mps2, memory.curvature_1pm)
         geometry = memory.geometry
         waited = scene.time_s - memory.waiting_since_s.get(scene.target_id, scene.time_s)
         # 1. where am I, and which lanes serve the route
@@ -138,19 +138,6 @@ class LaneGraphPlanner:
             rows = choice.variant == v
             xy[rows], yaw[rows] = side.poses(s[rows])
         return ProposalStates(xy, yaw, speed, s, accel)
-
-
-def _state(scene: Scene, memory: LaneGraphMemory) -> TargetState:
-    row, history = scene.target, scene.history
-    return TargetState(
-        xy_m=history.xy_m[row, -1],
-        yaw_rad=float(history.yaw_rad[row, -1]),
-        speed_mps=max(float(history.speed_mps[row, -1]), 0.0),
-        accel_mps2=memory.accel_mps2,
-        curvature_1pm=memory.curvature_1pm,
-        length_m=float(history.size_m[row, 0]),
-        width_m=float(history.size_m[row, 1]),
-    )
 
 
 def _claims(memory: LaneGraphMemory, state: TargetState) -> tuple[Link, ...]:

@@ -36,23 +36,16 @@ class Rule:
     in_turn: bool = False
 
 
-def signal_state(link: Link, signals: Mapping[str, str]) -> str:
-    """Return the letter of the link's signal; "" without one or when its state is unknown."""
-    return link.signal(signals)
-
-
 def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:
     """Return what a vehicle that takes *link* must do under *signals*."""
     response = road.yields_to(link)
-    letter = signal_state(link, signals)
+    letter = link.signal(signals)
     if letter:
         return _signalled(letter, response)
     if link.state == "s":
         return Rule(Duty.STOP_THEN_YIELD, response)
     if link.state == "w":
-        junction = road.junctions.get(link.junction_id)
-        foes = junction.foes.get(link.request_index, frozenset()) if junction else frozenset[int]()
-        return Rule(Duty.STOP_THEN_YIELD, foes, in_turn=True)
+        return Rule(Duty.STOP_THEN_YIELD, road.foes_of(link), in_turn=True)
     return Rule(Duty.YIELD if response else Duty.GO, response)
 
 
@@ -70,5 +63,5 @@ def _signalled(letter: str, response: frozenset[int]) -> Rule:
 
 def may_go(link: Link, signals: Mapping[str, str]) -> bool:
     """Return whether a vehicle that takes *link* may enter the junction now as far as signals go."""
-    letter = signal_state(link, signals)
+    letter = link.signal(signals)
     return not letter or letter not in _RED + _YELLOW

@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import (
     Chain,
@@ -50,6 +51,20 @@ class TargetState:
     curvature_1pm: float
     length_m: float
     width_m: float
+
+    @classmethod
+    def of(cls, scene: Scene, accel_mps2: float, curvature_1pm: float) -> TargetState:
+        """Return the target of *scene*."""
+        row, history = scene.target, scene.history
+        return cls(
+            xy_m=history.xy_m[row, -1],
+            yaw_rad=float(history.yaw_rad[row, -1]),
+            speed_mps=max(float(history.speed_mps[row, -1]), 0.0),
+            accel_mps2=accel_mps2,
+            curvature_1pm=curvature_1pm,
+            length_m=float(history.size_m[row, 0]),
+            width_m=float(history.size_m[row, 1]),
+        )
 
     @property
     def front_m(self) -> float:

@@ -57,15 +57,7 @@ def guide_of(road: RoadMap, scene: Scene, memory: LaneMemory) -> tuple[Guide | N
 def state_of(scene: Scene) -> TargetState:
     """Return the target now; its curvature is that of the last model step."""
     row, history = scene.target, scene.history
-    return TargetState(
-        xy_m=history.xy_m[row, -1],
-        yaw_rad=float(history.yaw_rad[row, -1]),
-        speed_mps=max(float(history.speed_mps[row, -1]), 0.0),
-        accel_mps2=0.0,
-        curvature_1pm=_curvature(history.xy_m[row], history.yaw_rad[row]),
-        length_m=float(history.size_m[row, 0]),
-        width_m=float(history.size_m[row, 1]),
-    )
+    return TargetState.of(scene, 0.0, _curvature(history.xy_m[row], history.yaw_rad[row]))
 
 
 def _curvature(xy_m: FloatArray, yaw_rad: FloatArray) -> float:

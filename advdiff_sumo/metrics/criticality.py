@@ -61,16 +61,21 @@ def time_to_collision(tracks: Tracks, target: int) -> FloatArray:
         offset, yaw, np.broadcast_to(half[target], half.shape), tracks.yaw_rad, half
     )
     rate = np.einsum("atic,atc->ati", axes, velocity - velocity[target])
-    enter, leave = overlap_times(np.abs(along) - gaps, along, rate)
-    start, end = enter.max(-1), leave.min(-1)
-    meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
-    seconds = np.where(meets, np.maximum(start, 0.0), np.inf)
+    seconds = meeting_s(gaps, along, rate)
     absent = np.isnan(offset).any(-1)
     absent[target] = True
     return np.where(absent, np.nan, seconds)
 
 
-def overlap_times(reach: FloatArray, along: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+def meeting_s(gaps: FloatArray, along: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return when boxes meet whose gaps and offsets (…, 4) along separating axes change at *rate*; inf: never."""
+    enter, leave = _overlap_times(np.abs(along) - gaps, along, rate)
+    start, end = enter.max(-1), leave.min(-1)
+    meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
+    return np.where(meets, np.maximum(start, 0.0), np.inf)
+
+
+def _overlap_times(reach: FloatArray, along: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return when |along + rate t| < reach begins and ends; (−inf, inf) for always, (inf, −inf) for never."""
     still = np.abs(rate) < _AT_ONCE
     safe = np.where(still, 1.0, rate)

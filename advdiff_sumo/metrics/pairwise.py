@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import axis_gaps
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, overlap_times
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, meeting_s
 
 #: Half seconds up to the horizon; a last bin takes those who do not meet by then.
 TTC_BINS_S = np.arange(0.0, TTC_HORIZON_S + 0.25, 0.5)
@@ -62,7 +62,4 @@ def _meeting_s(
     """Return (P,) when the boxes of P pairs meet; inf when they do not."""
     gaps, along, axes = axis_gaps(offset, yaw[0], 0.5 * size[0], yaw[1], 0.5 * size[1])
     rate = np.einsum("pic,pc->pi", axes, closing)
-    enter, leave = overlap_times(np.abs(along) - gaps, along, rate)
-    start, end = enter.max(-1), leave.min(-1)
-    meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
-    return np.where(meets, np.maximum(start, 0.0), np.inf)
+    return meeting_s(gaps, along, rate)

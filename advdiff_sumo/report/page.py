@@ -10,7 +10,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.metrics.archive import MANOEUVRES
-from advdiff_sumo.metrics.severity import badge
+from advdiff_sumo.metrics.severity import badge, worst_first
 from advdiff_sumo.planners.remote.remote_name import is_remote
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
@@ -25,7 +25,6 @@ from advdiff_sumo.report.rate_blocks import headline
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.sample_pictures import samples_by_background
 from advdiff_sumo.report.sections import Section, Sections
-from advdiff_sumo.report.select import worst_first
 from advdiff_sumo.report.templates import breaches_of, templates
 
 #: Nets that get a map of their own, those with the most collisions first.

@@ -22,7 +22,7 @@ SHOWN_S = 60.0
 #: Spacing of the boxes along the target's and the attacker's path.
 BOX_SPACING_S = 1.0
 _LABEL_SPACING_M = 9.0
-_ATTACKER_NEAR_M = 50.0
+ATTACKER_NEAR_M = 50.0
 #: Target and attacker nearer than this, and so far beside each other, have their labels on the far sides.
 _RIVAL_NEAR_M, _BESIDE_M = 12.0, 0.5
 _CLOSE_UP_S = 3.0
@@ -118,8 +118,8 @@ def picture_of(
     tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
     attacker = attacker or attacker_of(row)
     other = None if attacker is None else tracks.index.get(attacker)
-    impact = _point(row) if row["target_collision"] else None
-    focus = _focus(tracks, states.target, other, impact)
+    impact = impact_of(row) if row["target_collision"] else None
+    focus = focus_points(tracks, states.target, other, impact)
     view = view or NetWindow.around(focus, margin_m=12.0, least_width_m=70.0)
     return Picture(
         view=view,
@@ -141,26 +141,27 @@ def picture_of(
 def focus_of(states: EpisodeStates, attacker: str | None) -> FloatArray:
     """Return the points (N, 2) that a view of *states* must show: the target's way, the attacker's where it is near."""
     other = None if attacker is None else states.tracks.index.get(attacker)
-    return _focus(states.tracks, states.target, other, None)
+    return focus_points(states.tracks, states.target, other, None)
 
 
-def _point(row: Mapping[str, Any]) -> FloatArray | None:
+def impact_of(row: Mapping[str, Any]) -> FloatArray | None:
+    """Return the place (2,) of a collision of *row*, or None."""
     if row["impact_x_m"] is None or row["impact_y_m"] is None:
         return None
     return np.array([row["impact_x_m"], row["impact_y_m"]], dtype=np.float64)
 
 
 def _between_others(collisions: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, ...]:
-    points = (_point(c) for c in collisions if not c["with_target"] and not c["initial"])
+    points = (impact_of(c) for c in collisions if not c["with_target"] and not c["initial"])
     return tuple(point for point in points if point is not None)
 
 
-def _focus(tracks: Tracks, target: int, other: int | None, impact: FloatArray | None) -> FloatArray:
+def focus_points(tracks: Tracks, target: int, other: int | None, impact: FloatArray | None) -> FloatArray:
     """Return the points (N, 2) that the view must show: the target's way, the attacker's where it is near."""
     parts = [tracks.xy_m[target]]
     if other is not None:
         away = np.linalg.norm(tracks.xy_m[other] - tracks.xy_m[target], axis=-1)
-        parts.append(tracks.xy_m[other][away <= _ATTACKER_NEAR_M])
+        parts.append(tracks.xy_m[other][away <= ATTACKER_NEAR_M])
     if impact is not None:
         parts.append(impact[None])
     return np.concatenate(parts)
@@ -172,7 +173,7 @@ def _close_up(
     after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))  # instant at or after the contact
     stop = min(max(after, 0) + 1, tracks.steps)
     last = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
-    focus = _focus(last, target, other, impact)
+    focus = focus_points(last, target, other, impact)
     return NetWindow.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
 
 

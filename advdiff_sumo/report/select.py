@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from advdiff_sumo.metrics.severity import Row, is_failure, worst_first
-
-__all__ = ["UNEVENTFUL_SHOWN", "Row", "attacker_of", "is_eventful", "is_failure", "pictured", "worst_first"]
+from advdiff_sumo.metrics.severity import Row, is_failure
 
 #: Episodes with neither collision nor failure that get a picture.
 UNEVENTFUL_SHOWN = 20

@@ -12,15 +12,17 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
+from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.blocks import departed
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
-from advdiff_sumo.report.select import attacker_of, worst_first
+from advdiff_sumo.report.scene_picture import ATTACKER_NEAR_M, focus_points, impact_of
+from advdiff_sumo.report.select import attacker_of
 
 _ROUNDING = 1e-6
-_ATTACKER_NEAR_M, _MARGIN_M, _LEAST_WIDTH_M = 50.0, 10.0, 45.0
+_MARGIN_M, _LEAST_WIDTH_M = 10.0, 45.0
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,7 @@ class ChosenEpisode:
     @property
     def impact_m(self) -> FloatArray | None:
         """(2,) where, or None."""
-        if not self.row["target_collision"] or self.row["impact_x_m"] is None:
-            return None
-        return np.array([self.row["impact_x_m"], self.row["impact_y_m"]], dtype=np.float64)
+        return impact_of(self.row) if self.row["target_collision"] else None
 
     def span_s(self, start_s: float | None, end_s: float | None, most_s: float) -> tuple[float, float]:
         """Return the stretch to draw: as asked, else up to the contact, or 1 s beyond the least distance.
@@ -103,21 +103,16 @@ class ChosenEpisode:
 
     def view(self, start_s: float, end_s: float, aspect: float) -> NetWindow:
         """Return the view of the target's way from *start_s* to *end_s*, and of the attacker's near to it."""
-        tracks, steps = self.states.tracks, self.steps(start_s, end_s)
-        own = tracks.xy_m[self.states.target, steps]
-        parts = [own]
-        if self.attacker is not None:
-            other = tracks.xy_m[self.attacker, steps]
-            parts.append(other[np.linalg.norm(other - own, axis=-1) <= _ATTACKER_NEAR_M])
-        if self.impact_m is not None:
-            parts.append(self.impact_m[None])
-        return NetWindow.around(np.concatenate(parts), _MARGIN_M, _LEAST_WIDTH_M, aspect)
+        steps = self.steps(start_s, end_s)
+        shown = self.states.tracks.window(steps.start, steps.stop)
+        points = focus_points(shown, self.states.target, self.attacker, self.impact_m)
+        return NetWindow.around(points, _MARGIN_M, _LEAST_WIDTH_M, aspect)
 
     def view_at(self, moment_s: float, width_m: float = _LEAST_WIDTH_M) -> NetWindow:
         """Return a square view of the target at *moment_s*, and of the attacker if near, at least *width_m* wide."""
         places = poses_at(self.states.tracks, moment_s)[0]
         rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
-        near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= _ATTACKER_NEAR_M
+        near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= ATTACKER_NEAR_M
         return NetWindow.around(places[rows][near], _MARGIN_M, width_m, aspect=1.0)
 
     def steps(self, start_s: float, end_s: float) -> slice:

@@ -152,8 +152,8 @@ class AdversaryEnv(EpisodeEnv):
         self._by_attacker = hit_by_attacker(half)
         return terms
 
-    def _summary(self, end: EndReason) -> dict[str, Any]:
-        hit = end is EndReason.COLLISION
+    def _summary(self, end: str) -> dict[str, Any]:
+        hit = end == EndReason.COLLISION
         return {
             "reward": self._paid,
             "steps": self._done,
@@ -163,12 +163,6 @@ class AdversaryEnv(EpisodeEnv):
         }
 
     def _failed(self, error: EpisodeFailure) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        summary = {
-            "reward": self._paid,
-            "steps": self._done,
-            "end": "failed",
-            "collision": 0.0,
-            "by_attacker": 0.0,
-        }
         self.close()
-        return self._blank(), 0.0, False, True, {"failure": str(error), "episode_summary": summary}
+        info = {"failure": str(error), "episode_summary": self._summary("failed")}
+        return self._blank(), 0.0, False, True, info

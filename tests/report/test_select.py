@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from advdiff_sumo.metrics.severity import badge
-from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured, worst_first
+from advdiff_sumo.metrics.severity import badge, worst_first
+from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured
 
 
 def _numbers(episodes: list[Any]) -> list[int]:

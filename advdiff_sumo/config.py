@@ -93,7 +93,7 @@ def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
     same = [name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]]
     if _dotted(path) in same:
         return "write it without quotation marks: a name with a dot in quotation marks is another one"
-    beside = _known(model, path[:-1])
+    beside = list(_group(model, path[:-1]).model_fields)
     if same and nearest(str(path[-1]), beside, _MISSPELT) is None:
         return did_you_mean(_dotted(path), same)
     return did_you_mean(str(path[-1]), beside)
@@ -130,10 +130,6 @@ def _groups(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
             if isinstance(kind, type) and issubclass(kind, BaseModel):
                 kinds[name] = kind
     return kinds
-
-
-def _known(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    return list(_group(model, path).model_fields)
 
 
 def _leaves(model: type[BaseModel]) -> list[str]:

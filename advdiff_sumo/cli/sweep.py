@@ -127,8 +127,7 @@ def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
 def _plan(console: Console, file: Path | None, begun: Store | None, diverse: bool) -> SweepPlan:
     """Return all episodes that are asked for; say what of the logs is left out."""
     from advdiff_sumo.cli.run import print_notes
-    from advdiff_sumo.sweep.job_plan import plan_sweep
-    from advdiff_sumo.sweep.notes import sweep_notes
+    from advdiff_sumo.sweep.job_plan import plan_sweep, sweep_notes
 
     try:
         plan = plan_sweep(_spec(file, begun, diverse))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,15 @@ from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.plugins import Registry
 from advdiff_sumo.sim.demand_files import DemandFiles, read_demand
-from advdiff_sumo.sim.run_episodes import Run, RunOptions, check_together, policy_of, read_road, target_of
+from advdiff_sumo.sim.run_episodes import (
+    Run,
+    RunOptions,
+    check_together,
+    left_out,
+    policy_of,
+    read_road,
+    target_of,
+)
 from advdiff_sumo.sweep.attack_kinds import by_kind
 from advdiff_sumo.sweep.fingerprint import cell_digest, digest, net_files, source_digest
 from advdiff_sumo.sweep.spec import Case, SweepSpec
@@ -258,6 +266,22 @@ class _Check:
             driver = make(options)
             self._known[key] = driver if what[0] == "target" else None
         return self._known[key]
+
+
+def sweep_notes(plan: SweepPlan) -> Iterator[str]:
+    """Yield sentences on what of logs and demand is left out, once for each net with its log or demand.
+
+    Raises:
+        InputError: a log cannot be read.
+    """
+    sources = {
+        (cell.net, cell.demand, cell.scenes): cell for cell in plan.cells if cell.demand or cell.scenes
+    }
+    road_of = cache(read_road)  # a net may have several logs and demands
+    for (net, demand, scenes), options in sources.items():
+        road = road_of(net)
+        files = read_demand(Path(demand), road) if demand else None
+        yield from left_out(options, road, files, open_log(Path(scenes)) if scenes else None)
 
 
 def needed_nets(plan: SweepPlan) -> tuple[Path, ...]:

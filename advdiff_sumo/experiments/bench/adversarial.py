@@ -14,11 +14,10 @@ from advdiff_sumo.experiments.bench.bench_rows import (
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_told
-from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList
-from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
+from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of, paper_table
 
 PLAN_NOTHING = ("sumo", "replay")
 ATTACKED = {"lane_graph": "lane_graph", "IDM": "IDM"}

@@ -17,9 +17,8 @@ from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.intervals import Divergence, Ratio, Sample
 from advdiff_sumo.experiments.bench.open_loop import MODELS, Counted, count
-from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
-from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
+from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of, paper_table
 from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions, plan, simulate
 from advdiff_sumo.sweep.fingerprint import digest
 from advdiff_sumo.sweep.sweep_files import read_checked, write_checked

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Literal
 
 from advdiff_sumo.experiments.bench.intervals import Difference, Estimate, Sample, difference, estimate
@@ -132,6 +134,13 @@ class RowSamples:
     def name(self) -> str:
         """Group and key."""
         return f"{self.group}/{self.key}" if self.group else self.key
+
+
+def paper_table(bench: str) -> Mapping[str, Mapping[str, float]]:
+    """Return the paper's own table for *bench*: row → column → figure, in percent, divergences times a hundred."""
+    text = files(__package__).joinpath("paper.json").read_text(encoding="utf-8")
+    rows: Mapping[str, Mapping[str, float]] = json.loads(text)[bench]["rows"]
+    return rows
 
 
 def lines_of(

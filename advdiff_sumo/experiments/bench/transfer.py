@@ -26,11 +26,10 @@ from advdiff_sumo.experiments.bench.bench_rows import (
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.intervals import Estimate, Ratio, Sample, difference, draws
-from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList
-from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of
+from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of, paper_table
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import WorkerLimits
 

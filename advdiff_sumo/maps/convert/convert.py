@@ -140,7 +140,9 @@ def convert_source(
     given, source = source, repair(check_geometry(source))
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = _laid_out(source, tracks, crossings)
-    layout.counts["lanes without usable width, made 3.5 m wide"] = _without_width(tracks)
+    layout.counts["lanes without usable width, made 3.5 m wide"] = sum(
+        not track.lane.is_connector and not len(track.widths) for track in tracks
+    )
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_idle_signals(source, plan)
@@ -287,11 +289,6 @@ def _widths(lane: SourceLane) -> FloatArray:
     if lane.width_m is not None:
         return np.array([[0.5 * line_length_m(lane.centre_m), lane.width_m]])
     return width_profile(lane.centre_m, lane.polygon)
-
-
-def _without_width(tracks: list[Track]) -> int:
-    """Return how many road lanes have the default width."""
-    return sum(not track.lane.is_connector and not len(track.widths) for track in tracks)
 
 
 def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[SideBySide]:

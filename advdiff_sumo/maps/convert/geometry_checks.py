@@ -31,7 +31,10 @@ def check_geometry(source: SourceMap) -> SourceMap:
     """
     faults = MapFaults(source.path)
     lanes = [lane for lane in source.lanes if not _is_loop(lane, faults)]
-    links = _sound_links({lane.token: lane for lane in lanes}, source.links, faults)
+    by_token = {lane.token: lane for lane in lanes}
+    links = [
+        link for link in source.links if set(link) <= by_token.keys() and _is_sound(by_token, link, faults)
+    ]
     lanes = _in_their_polygons(lanes, links, faults)
     known = {lane.token for lane in lanes}
     gone = tuple(lane.token for lane in source.lanes if lane.token not in known)
@@ -54,12 +57,6 @@ def _is_loop(lane: SourceLane, faults: MapFaults) -> bool:
         return False
     faults.add("paths that run in a circle", f"lane {lane.token!r} runs in a circle and is left out")
     return True
-
-
-def _sound_links(
-    lanes: dict[str, SourceLane], links: tuple[tuple[str, str], ...], faults: MapFaults
-) -> list[tuple[str, str]]:
-    return [link for link in links if set(link) <= lanes.keys() and _is_sound(lanes, link, faults)]
 
 
 def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFaults) -> bool:

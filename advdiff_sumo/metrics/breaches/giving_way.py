@@ -95,15 +95,13 @@ def _brake_mps2(record: EpisodeRecord, view: TrafficView, entry: JunctionEntry, 
 
 def _has_priority(view: TrafficView, entry: JunctionEntry, row: int) -> bool:
     """Return whether the target must give way to *row*, by every way that it may take over the junction."""
-    came = next((x for x in junction_entries(view, row) if _is_same(x, entry)), None)
+    came = next(
+        (x for x in junction_entries(view, row) if x.link.junction_id == entry.link.junction_id), None
+    )
     if came is not None and ran_red(view, came):
         return False
     links = (came.link,) if came is not None else _links_ahead(view, entry, row)
     return bool(links) and all(_is_owed(view, entry, link, came is not None) for link in links)
-
-
-def _is_same(came: JunctionEntry, entry: JunctionEntry) -> bool:
-    return came.link.junction_id == entry.link.junction_id
 
 
 def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Link, ...]:

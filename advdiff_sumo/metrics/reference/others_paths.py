@@ -130,12 +130,8 @@ def _chain(road: RoadMap, lane_id: str, visited: frozenset[str]) -> tuple[Polyli
         names += onward
         links.append(link)
         length += sum(road.lanes[x].length_m for x in onward)
-    return concatenate(_lines(road, names)), links
+    return concatenate([road.lanes[name].line for name in names]), links
 
 
 def _strangeness(link: Link, visited: frozenset[str]) -> tuple[bool, bool, str]:
     return not any(x in visited for x in (*link.via, link.to_lane)), link.direction != "s", link.to_lane
-
-
-def _lines(road: RoadMap, names: Sequence[str]) -> list[Polyline]:
-    return [road.lanes[x].line for x in names]

@@ -104,7 +104,7 @@ class LaneGraphPlanner:
             waited,
             self.options,
         )
-        target = _target_lane(memory)
+        target = next((lane for lane in memory.lanes if not lane.startswith(":")), None)
         cost += driving_cost(sides, choice, candidates, state, target, self.options)
         best = int(np.argmin(cost))
         # 5. drive it as a bicycle
@@ -148,10 +148,6 @@ def _claims(memory: LaneGraphMemory, state: TargetState) -> tuple[Link, ...]:
     s = float(path.project(state.xy_m)[0])
     near = [(a < s + _CLAIM_M) and (s < b) for a, b in zip(path.stop_m, path.exit_m, strict=True)]
     return tuple(link for link, claimed in zip(path.links, near, strict=True) if claimed)
-
-
-def _target_lane(memory: LaneGraphMemory) -> str | None:
-    return next((lane for lane in memory.lanes if not lane.startswith(":")), None)
 
 
 def _driven(side: Variant, candidates: ProposalStates, best: int, state: TargetState) -> Trajectory:

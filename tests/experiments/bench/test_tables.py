@@ -14,9 +14,8 @@ from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.fewshot import marks_of
 from advdiff_sumo.experiments.bench.intervals import ratio
-from advdiff_sumo.experiments.bench.paper import paper_table
 from advdiff_sumo.experiments.bench.print_table import print_table
-from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of
+from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of, paper_table
 from advdiff_sumo.experiments.bench.table_cache import finished, read_table, save
 from advdiff_sumo.experiments.bench.write_table import escaped, latex_text
 

@@ -130,6 +130,10 @@ class Encounter:
         """Both, in the order of the collision's rows."""
         return self.target, self.other
 
+    def is_run_into(self, which: int) -> bool:
+        """Return whether the other ran with its front into the rear of party *which*."""
+        return self.parties[which].face == "rear" and self.parties[1 - which].face == "front"
+
     @property
     def cut_in(self) -> LaneEntry | None:
         """The entry, if it was within ``CUT_IN_WINDOW_S`` of the contact."""

@@ -63,14 +63,7 @@ class TrafficStage(BundleStage):
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the negative ELBO and its parts."""
-        model, options = self.bundle.traffic, self.options
-        terms, encoded, _ = self._terms(batch, kl_share(moment.progress, options), moment.generator)
-        if options.prior_weight > 0.0:
-            drawn = encoded.context.prior.sample(moment.generator)
-            rollout = model.decoder(drawn, encoded.context.h, batch)
-            terms["prior_reconstruction"] = known_mean(reconstruction(rollout, batch), batch)
-            terms["loss"] = terms["loss"] + options.prior_weight * terms["prior_reconstruction"]
-        return terms
+        return self._terms(batch, kl_share(moment.progress, self.options), moment.generator)[0]
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss at the full weight of KL, and displacements from posterior and prior."""

@@ -25,7 +25,6 @@ class ElboOptions(Options):
         kl_weight: weight of the KL divergence of a latent against the mean reconstruction error of a step.
         kl_anneal_share: share of the training over which that weight rises from a hundredth of it.
         free_nats: KL of each of the latent's numbers that costs nothing.
-        prior_weight: weight of a second reconstruction, from a draw of the prior; 0: none.
         samples: weight of what is wrong with a draw of the prior, by the terms of :class:`DecoderOptions`; it teaches
             the decoder alone; 0: none.
     """
@@ -33,7 +32,6 @@ class ElboOptions(Options):
     kl_weight: float = Field(0.02, ge=0.0)
     kl_anneal_share: float = Field(0.3, ge=0.0, le=1.0)
     free_nats: float = Field(0.0, ge=0.0)
-    prior_weight: float = Field(0.0, ge=0.0)
     samples: float = Field(0.0, ge=0.0)
 
 

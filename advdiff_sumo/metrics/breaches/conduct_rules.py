@@ -30,9 +30,7 @@ def speeding(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     """Return the breach of having driven at over 1.2 × the limit and closed in on the other by that."""
     party = met.parties[which]
     start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
-    if party.is_pedestrian or closing_mps(met, which) < _CLOSING_MPS:
-        return None
-    if party.face == "rear" and met.parties[1 - which].face == "front":
+    if party.is_pedestrian or closing_mps(met, which) < _CLOSING_MPS or met.is_run_into(which):
         return None
     return drove_too_fast(view, party.row, start, met.collision.step + 1)
 
@@ -74,11 +72,10 @@ def drove_backwards(view: TrafficView, row: int, start: int, stop: int) -> Breac
 
 def off_road(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     """Return the breach of having left the road, unless the other ran into its rear."""
-    party, other = met.parties[which], met.parties[1 - which]
-    if party.face == "rear" and other.face == "front":
+    if met.is_run_into(which):
         return None
     start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
-    return drove_off_road(view, party.row, start, met.collision.step + 1)
+    return drove_off_road(view, met.parties[which].row, start, met.collision.step + 1)
 
 
 def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:

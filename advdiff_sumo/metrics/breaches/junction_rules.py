@@ -187,10 +187,10 @@ def _lately(view: TrafficView, met: Encounter, party: Party) -> bool:
 
 def joined_safely(met: Encounter, which: int) -> bool:
     """Return whether the other ran into the rear of the party, which had joined its way with a safe gap."""
-    party, other, entry = met.parties[which], met.parties[1 - which], met.entry
-    if entry is None or entry.row != party.row or not entry.ahead or not (entry.safe or entry.recovered):
+    entry = met.entry
+    if entry is None or entry.row != met.parties[which].row or not entry.ahead:
         return False
-    return party.face == "rear" and other.face == "front"
+    return (entry.safe or entry.recovered) and met.is_run_into(which)
 
 
 def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:

@@ -26,8 +26,8 @@ def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     It concerns the contact unless the other ran into its rear, or came over to its side first. Where their ways over
     a junction meet, giving way is the rule: a long vehicle that turns there reaches out of its lane.
     """
-    party, other = met.parties[which], met.parties[1 - which]
-    if party.is_pedestrian or party.stands or (party.face == "rear" and other.face == "front"):
+    party = met.parties[which]
+    if party.is_pedestrian or party.stands or met.is_run_into(which):
         return None
     step, entry = met.collision.step, met.entry
     if party.wrong_way:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure, FileError
@@ -78,9 +77,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         self._must_be_own()
         self._executor = ProcessExecutor(1, limits)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """End the worker."""
         self._executor.__exit__(kind, error, trace)
 
@@ -171,9 +168,7 @@ class _Lent(AbstractContextManager["_Lent"]):
         self._owner, self.slots = owner, owner.slots
         self.submit, self.wait = owner.submit, owner.wait
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is not None:
             self._owner.__exit__(kind, error, trace)
 

@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from advdiff_sumo.core.errors import SimulationError, StartRefusedError
@@ -106,9 +105,7 @@ class Session:
         _log.debug("SUMO began: %s", " ".join(self.options.arguments()))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         Session._open = False
         with _quiet(), contextlib.suppress(Exception):
             self.api.close()

@@ -16,7 +16,6 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from multiprocessing.context import BaseContext
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from pebble import ProcessExpired, ProcessPool
@@ -59,9 +58,7 @@ class Executor(Protocol):
         """Start; nothing runs before."""
         ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """End all workers; at once where an error or Ctrl-C is the reason."""
         ...
 
@@ -104,9 +101,7 @@ class SerialExecutor(AbstractContextManager["SerialExecutor"]):
         self.run = run
         self._tasks: deque[Task] = deque()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """Let the planner go where something outside this process stands behind it."""
         if self.run is not None and isinstance(self.run.target, Served):
             self.run.target.close()
@@ -134,9 +129,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         self._running: dict[Any, tuple[int, Task]] = {}
         self._overdue: dict[str, float] = {}
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """End the workers."""
         for pool in self._pools.values():
             if kind is None:

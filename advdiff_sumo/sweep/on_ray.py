@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, MissingExtraError
@@ -75,9 +74,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         self._do = ray.remote(num_cpus=1, max_retries=0, max_calls=self.limits.tasks)(on_worker)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """Leave the cluster; what was running there is ended."""
         if kind is not None:
             for reference in self._running:

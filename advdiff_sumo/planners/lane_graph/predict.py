@@ -116,14 +116,10 @@ def _stop_m(road: RoadMap, scene: Scene, others: Others, way: PossibleWay, ego: 
     rule = rule_at(road, link, scene.signals)
     speed = float(others.speed_mps[way.other])
     brake = speed**2 / (2.0 * max(distance - 0.5, 0.1))
-    if rule.duty in (Duty.STOP, Duty.CLEAR) and brake < _SIGNAL_BRAKE_MPS2:
-        return max(distance - 0.5, 0.0)
     claimed = any(c.junction_id == link.junction_id and c.request_index in rule.yields_to for c in ego.claims)
-    if claimed and not rule.in_turn and brake < _YIELD_BRAKE_MPS2:
-        return max(distance - 0.5, 0.0)
-    if rule.duty is Duty.STOP_THEN_YIELD and brake < _YIELD_BRAKE_MPS2 and speed > 0.5:
-        return max(distance - 0.5, 0.0)
-    return np.inf
+    yields = (claimed and not rule.in_turn) or (rule.duty is Duty.STOP_THEN_YIELD and speed > 0.5)
+    stops = rule.duty in (Duty.STOP, Duty.CLEAR) and brake < _SIGNAL_BRAKE_MPS2
+    return max(distance - 0.5, 0.0) if stops or (yields and brake < _YIELD_BRAKE_MPS2) else np.inf
 
 
 def _leaders(

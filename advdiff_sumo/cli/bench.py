@@ -21,7 +21,7 @@ bench = typer.Typer(
     help="The paper's tables out of our own runs: paired by seed scene, with intervals, beside the paper's figures.",
     no_args_is_help=True,
 )
-_FOLDER = Path("runs")
+FOLDER = Path("runs")
 
 Out = Annotated[
     Path | None,
@@ -220,7 +220,7 @@ def run_or_print(
 
     end_as_by_ctrl_c()
     console = terminal(quiet=as_json)
-    path = (out or _FOLDER / f"bench-{name}").resolve()
+    path = (out or FOLDER / f"bench-{name}").resolve()
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
     scenes, usual = _of_log(given.get("scenes"))
     request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})

@@ -9,12 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.bench import DefectsLicence, Severity, run_or_print
+from advdiff_sumo.cli.bench import FOLDER, DefectsLicence, Severity, run_or_print
 from advdiff_sumo.cli.worker_flags import Timeout, Workers
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
-
-_FOLDER = Path("runs")
 
 
 def defects(
@@ -94,7 +92,7 @@ def defects(
         "licence": licence,
         **_episodes(net or [], assign or []),
     }
-    run_or_print("defects", out or _FOLDER / f"defects-{name}", workers, timeout, given, as_json)
+    run_or_print("defects", out or FOLDER / f"defects-{name}", workers, timeout, given, as_json)
 
 
 def _episodes(nets: list[str], assignments: list[str]) -> dict[str, Any]:

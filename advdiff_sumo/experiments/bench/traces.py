@@ -21,13 +21,13 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.offroad import background_off_road
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
+from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.report.stored_record import stored_record
 from advdiff_sumo.sim.run_episodes import read_road
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.training.realism import ACCEL_BINS, SPEED_BINS
 
-MODEL_STEP_S = 0.5
 NEAR_M = 60.0
 """Background vehicles nearer than this to the target count, moved or not: the default control radius."""
 

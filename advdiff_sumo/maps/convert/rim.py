@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.annotate import LANE
 from advdiff_sumo.maps.convert.entry_room import blocked_entries
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
@@ -25,7 +26,6 @@ LENGTH_M = 100.0
 SPEED_MPS = 13.89
 WAY_M = 15.0
 ASIDE_M, APART_M = 300.0, 10.0  # from the map's western rim, and from each other
-LANE = re.compile(r'(<lane id="(?P<id>[^"]+)"[^>]* shape=")(?P<shape>[^"]*)(")')
 VIA = re.compile(
     r'<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)" fromLane="(?P<leaves>\d+)"'
     r' toLane="(?P<enters>\d+)"[^>]* via="(?P<via>[^"]+)"'

@@ -14,6 +14,7 @@ from advdiff_sumo.metrics.reference import ReferenceDrive
 #: Decelerating by more than this is braking; the regulation's driver takes its foot off the pedal with 0.4 m/s².
 _BRAKING_MPS2 = 0.5
 _STANDING_MPS = 0.05
+_COUNTS = "it counts, as the target is at fault"
 _SEARCHED = {
     True: "a drive exists that avoids it, for one who knows what the others will do",
     False: "no drive was found that avoids it",
@@ -47,6 +48,8 @@ def sentence_of(
         clauses.append(_conduct(target, breaches[0]))
     elif fault.at_fault is AtFault.TARGET:
         clauses.append(fault.reason[0].lower() + fault.reason[1:].rstrip("."))
+    if fault.at_fault is AtFault.TARGET and drive is not None and drive.model not in preventable_by:
+        clauses.append(_COUNTS)
     text = "; ".join(clause for clause in clauses if clause) + "."
     text = text.replace(f"'{met.target.name}'", "the target")
     text = text[0].upper() + text[1:]

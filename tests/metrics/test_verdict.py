@@ -176,6 +176,8 @@ def test_what_is_left_of_the_impact_is_that_with_who_counts(road) -> None:
     assert followed.preventable is False
     assert followed.impact_left_mps == pytest.approx(alone.impact_left_mps)
     assert followed.sentence == alone.sentence
+    assert alone.valid_failure is alone.sentence.endswith("; it counts, as the target is at fault.")
+    assert alone.valid_failure
 
 
 def test_a_contact_after_one_that_does_not_count_is_told_though_the_record_has_ended(road) -> None:

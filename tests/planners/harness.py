@@ -83,8 +83,8 @@ def outcome(record: EpisodeRecord, timing: Timing, road: RoadMap) -> Outcome:
     found, tracks, row = summarise(record, road), record.tracks, record.target
     there = tracks.valid[row]
     speed, yaw = tracks.speed_mps[row, there], np.unwrap(tracks.yaw_rad[row, there])
-    struck = f"{found.struck.kind}: {found.struck.verdict.reason}" if found.struck else ""
-    caused = found.struck is not None and found.struck.verdict.at_fault is AtFault.TARGET
+    struck = f"{found.struck.kind}: {found.struck.verdict.fault.reason}" if found.struck else ""
+    caused = found.struck is not None and found.struck.verdict.fault.at_fault is AtFault.TARGET
     return Outcome(
         scene=record.scene,
         end=str(record.end),

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.polylines import Polyline, without_repeats
+from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW
 from advdiff_sumo.maps.lanes import Junction, Lane, Link
 
 POINTS = 6
@@ -21,7 +22,8 @@ POINTS = 6
 PIECE_M = 20.0
 """Longest piece where traffic is slow; longer lines are cut into equal parts."""
 _SHORTEST_M = 0.05
-_SIGNAL_CODES = {"r": 1, "R": 1, "u": 1, "U": 1, "y": 2, "Y": 2, "g": 3, "G": 3}
+# "R" and "U" SUMO itself does not write
+_SIGNAL_CODES = dict.fromkeys(RED | {"R", "U"}, 1) | dict.fromkeys(YELLOW, 2) | dict.fromkeys(GREEN, 3)
 
 
 @dataclass(frozen=True)

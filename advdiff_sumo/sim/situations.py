@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from advdiff_sumo.core.signal_letters import RED
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.sim.sim_options import Situation
 from advdiff_sumo.sim.world import Frame, World
 
-_FOLLOWS_S, _BESIDE_M, _JUNCTION_M, _RED = 3.5, 20.0, 60.0, ("r", "u")
+_FOLLOWS_S, _BESIDE_M, _JUNCTION_M = 3.5, 20.0, 60.0
 
 
 def in_situation(
@@ -39,7 +40,7 @@ def in_situation(
     """
     if situation == "red-light":
         link = _next_link(road, world, frame, row, route)
-        return link is not None and link.signal(signals) in _RED and _is_next(road, world, frame, row)
+        return link is not None and link.signal(signals) in RED and _is_next(road, world, frame, row)
     return situation == "any" or _TESTS[situation](road, world, frame, row, route)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.core.signal_letters import GREEN, PROTECTED_GREEN
 from advdiff_sumo.maps import Link
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.conduct_rules import drove_too_fast
@@ -58,7 +59,7 @@ def not_given_way(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
 def _is_judged(view: TrafficView, entry: JunctionEntry) -> bool:
     letters = signals_at_entry(view, entry)
     unknown = entry.link.tls_id is not None and not letters
-    return not (unknown or "G" in letters or ran_red(view, entry))
+    return not (unknown or PROTECTED_GREEN in letters or ran_red(view, entry))
 
 
 def _others(view: TrafficView, target: int, entry: JunctionEntry) -> Iterator[int]:
@@ -118,8 +119,7 @@ def _is_owed(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool)
         return False
     if entered or link.tls_id is None or link.tls_index is None or not view.signals:
         return True
-    state = view.signals[entry.line_step].get(link.tls_id, "")
-    return len(state) > link.tls_index and state[link.tls_index] in "gG"
+    return link.signal(view.signals[entry.line_step]) in GREEN
 
 
 def _meets_another(record: EpisodeRecord, row: int, step: int, met: int) -> bool:

@@ -7,6 +7,7 @@ import shapely
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.signal_letters import PROTECTED_GREEN, RED
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.encounter import (
     BREACH_WINDOW_S,
@@ -126,7 +127,7 @@ def _crossings(view: TrafficView) -> list[FloatArray]:
 def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:
     """Return whether *party* entered the junction while its signal was red, from its front's passing the line on."""
     states = signals_at_entry(view, party)
-    return bool(states) and all(state in "ru" for state in states)
+    return bool(states) and all(state in RED for state in states)
 
 
 def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[str]:
@@ -175,7 +176,7 @@ def later_by_s(view: TrafficView, met: Encounter) -> float | None:
 
 def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
     """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
-    if party.link is None or to.link is None or "G" in signals_at_entry(view, party):
+    if party.link is None or to.link is None or PROTECTED_GREEN in signals_at_entry(view, party):
         return False
     return view.road.must_yield(party.link, to.link)
 
@@ -195,7 +196,7 @@ def joined_safely(met: Encounter, which: int) -> bool:
 
 def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:
     """Return the breach of running into somebody on a crossing, unless the driver had a protected green."""
-    if "G" in signals_at_entry(view, party) or not on_crossing(view, walker, met.collision.step):
+    if PROTECTED_GREEN in signals_at_entry(view, party) or not on_crossing(view, walker, met.collision.step):
         return None
     return _breach(
         view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"

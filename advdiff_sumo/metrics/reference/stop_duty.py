@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.signal_letters import PROTECTED_GREEN, RED, YELLOW
 from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.maps.paths import PathLink
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
@@ -15,14 +16,13 @@ from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
 BEGIN_MPS2, YELLOW_MPS2 = 2.0, 3.0
 _ONGOING_MPS2 = 0.5
 _MARGIN_M = 1.0
-_RED, _YELLOW, _FREE = "ru", "yY", "G"
 
 
 def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], theirs: tuple[Link, ...]) -> bool:
     """Return whether who takes *link* must give way to who takes one of *theirs*, as signs and signals stand."""
-    if link.signal(signals) == _FREE:
+    if link.signal(signals) == PROTECTED_GREEN:
         return False
-    return any(road.must_yield(link, x) and x.signal(signals) not in tuple(_RED) for x in theirs)
+    return any(road.must_yield(link, x) and x.signal(signals) not in RED for x in theirs)
 
 
 def stop_demand(
@@ -73,8 +73,8 @@ def _must_stop(
     conflict: BoolArray,
 ) -> bool:
     letter = link.signal(signals)
-    if letter and letter in _RED:
+    if letter in RED:
         return True
-    if letter and letter in _YELLOW:
+    if letter in YELLOW:
         return needed_mps2 <= YELLOW_MPS2
     return any(yields_to(road, link, signals, rivals[n]) for n in np.flatnonzero(conflict).tolist())

@@ -12,10 +12,9 @@ import numpy as np
 
 from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.signal_letters import PLAIN_RED, PROTECTED_GREEN, RED, YELLOW
 from advdiff_sumo.maps import Lane, Link, RoadMap
 from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, with_states
-
-_STOP, _YELLOW, _FREE, _RED = "ru", "yY", "G", "r"
 
 
 class IgnoredSignals(PlantedFault):
@@ -33,10 +32,10 @@ class IgnoredSignals(PlantedFault):
             if link.tls_id is None or link.tls_index is None:
                 continue
             letter, key = link.signal(scene.signals), (link.tls_id, link.tls_index)
-            if letter and letter in _STOP:
+            if letter in RED:
                 since[key] = (memory or {}).get(key, scene.time_s)
             early = key in since and scene.time_s - since[key] < self.value
-            if early or (letter and letter in _YELLOW):
+            if early or letter in YELLOW:
                 shown = _as_if_green(road, link, shown)
         return replace(scene, signals=shown), since
 
@@ -134,9 +133,9 @@ def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mappi
     for other in road.links.values():
         if other.tls_id == link.tls_id and other.tls_index is not None and other.tls_index < len(letters):
             if (other.from_lane, other.to_lane) == (link.from_lane, link.to_lane):
-                letters[other.tls_index] = _FREE
+                letters[other.tls_index] = PROTECTED_GREEN
             elif other.junction_id == link.junction_id and other.request_index in foes:
-                letters[other.tls_index] = _RED
+                letters[other.tls_index] = PLAIN_RED
     return {**signals, link.tls_id or "": "".join(letters)}
 
 

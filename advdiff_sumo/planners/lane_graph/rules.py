@@ -6,9 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
+from advdiff_sumo.core.signal_letters import (
+    PLAIN_YELLOW,
+    PROTECTED_GREEN,
+    RED,
+    STOP_THEN_YIELD,
+    SWITCHED_OFF,
+    YELLOW,
+)
 from advdiff_sumo.maps import Link, RoadMap
 
-_GO, _YELLOW, _RED = "GO", "yY", "ru"
+_GO = frozenset((PROTECTED_GREEN, SWITCHED_OFF))
 
 
 class Duty(IntEnum):
@@ -50,18 +58,17 @@ def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:
 
 
 def _signalled(letter: str, response: frozenset[int]) -> Rule:
-    if letter in _RED:
+    if letter in RED:
         return Rule(Duty.STOP, frozenset())
-    if letter in _YELLOW:
-        return Rule(Duty.CLEAR, response if letter == "y" else frozenset())
+    if letter in YELLOW:
+        return Rule(Duty.CLEAR, response if letter == PLAIN_YELLOW else frozenset())
     if letter in _GO:
         return Rule(Duty.GO, frozenset())
-    if letter == "s":
+    if letter == STOP_THEN_YIELD:
         return Rule(Duty.STOP_THEN_YIELD, response)
     return Rule(Duty.YIELD if response else Duty.GO, response)
 
 
 def may_go(link: Link, signals: Mapping[str, str]) -> bool:
     """Return whether a vehicle that takes *link* may enter the junction now as far as signals go."""
-    letter = link.signal(signals)
-    return not letter or letter not in _RED + _YELLOW
+    return link.signal(signals) not in RED | YELLOW

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import goes_first, meeting_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -17,7 +18,6 @@ _BEFORE_LINE_M = 0.5
 _STOPS_MPS2, _HURRIES_MPS2 = 4.0, 2.0
 _SPARE_S, _ASIDE_M = 1.0, 1.5
 _STANDS_MPS, _AT_LINE_M = 0.2, 15.0
-_PROTECTED = "G"
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _gives_way(view: SituationView, own: _Entry, target: _Entry) -> bool:
     """Return whether who is before its line has to let the target pass: by the net's rules, or as it comes later."""
     if own.link == target.link or own.link.junction_id != target.link.junction_id:
         return False
-    if view.signal(own.link) == _PROTECTED:
+    if view.signal(own.link) == PROTECTED_GREEN:
         return False
     yields = view.road.must_yield(own.link, target.link), view.road.must_yield(target.link, own.link)
     return target.is_over if yields[0] == yields[1] else yields[0]

@@ -12,6 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW, YIELDING_GREEN
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
@@ -22,7 +23,6 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
-_RED, _STOPS_AT, _YIELDS_ON_GREEN = "ru", "ruy", "g"
 _ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
 _SOON_STEPS, _CROSSED_STEPS, _SET_UP_STEPS = {False: 10, True: 5}, 15, 3
 _STOPS_MPS2 = 3.0
@@ -90,12 +90,12 @@ def _respects_links(view: SituationView, manoeuvre: Manoeuvre, driven_m: float, 
         if reach - front < 0.0 or reach - front > driven_m:
             continue
         signal = view.signal(link)
-        if signal and signal.lower() in (_STOPS_AT if licence.stops_at_yellow else _RED):
+        if signal in RED or (licence.stops_at_yellow and signal in YELLOW):
             return False
         if met is not None and link is met[0]:
             if not _has_priority(view, met):
                 return False
-        elif (link.yields and not signal) or signal == _YIELDS_ON_GREEN:
+        elif (link.yields and not signal) or signal == YIELDING_GREEN:
             return False
     return True
 
@@ -106,7 +106,7 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
     if own.request_index < 0 or targets.request_index < 0:
         return False
     if view.is_red(targets):
-        return view.signal(own) in ("G", "g")
+        return view.signal(own) in GREEN
     return view.gives_way(targets, own) and not (own.must_wait and not view.signal(own))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -32,7 +33,6 @@ _BEFORE_M, _STAYS_M, _STANDS_MPS = 1.0, 2.0, 0.3
 _CLOSE_M = 2.0
 """Closer than this nobody stands behind a leader of SUMO's."""
 _ACROSS_MPS = 1.0
-_GOES = ("G", "")
 _EDGE: FloatArray = np.linspace(-0.5, 0.5, 9)
 _SIDE: FloatArray = np.full_like(_EDGE, 0.5)
 _OUTLINE: FloatArray = np.concatenate(
@@ -91,7 +91,7 @@ def _is_leader(view: SituationView, row: int) -> bool:
 
 def _may_stop_at(signal: str, yields: bool) -> bool:
     """Return whether SUMO's driver may have to stop at a line, where it is not taken from it."""
-    return signal not in _GOES or (not signal and yields)
+    return signal != PROTECTED_GREEN if signal else yields
 
 
 def _braking(view: SituationView, row: int) -> float:

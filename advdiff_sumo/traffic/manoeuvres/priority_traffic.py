@@ -11,6 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.polylines import concatenate
+from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S, TargetWay
@@ -32,7 +33,6 @@ _PACE_AT_RED = 0.8
 """Share of the limit at which somebody comes who may have to hurry, or to hesitate."""
 _TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
 _FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
-_GREEN = "G"
 
 
 @dataclass(frozen=True)
@@ -111,12 +111,14 @@ def goes_first(view: SituationView, link: Link) -> list[Link]:
     others = (other for lane in there for other in lane.successors if other.junction_id == junction.id)
     if view.is_red(link):
         foes = junction.foes.get(link.request_index, frozenset())
-        return [other for other in others if other.request_index in foes and view.signal(other) == _GREEN]
+        return [
+            other for other in others if other.request_index in foes and view.signal(other) == PROTECTED_GREEN
+        ]
     return [other for other in others if view.gives_way(link, other) and _may_go(view, other)]
 
 
 def _may_go(view: SituationView, link: Link) -> bool:
-    return view.signal(link) == _GREEN or (not view.signal(link) and not link.must_wait)
+    return view.signal(link) == PROTECTED_GREEN or (not view.signal(link) and not link.must_wait)
 
 
 def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
@@ -174,7 +176,7 @@ def _upstream(view: SituationView, link: Link) -> list[Lane]:
     into = _into(view.road)
     while sum(lane.length_m for lane in out) < REACH_M:
         before = into.get(out[-1].id)
-        if before is None or before.yields or view.signal(before) not in ("", _GREEN):
+        if before is None or before.yields or view.signal(before) not in ("", PROTECTED_GREEN):
             break
         out += [*(lanes[name] for name in reversed(before.via)), lanes[before.from_lane]]
     return out

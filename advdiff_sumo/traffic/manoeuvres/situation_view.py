@@ -10,6 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import AgentClass, Scene
+from advdiff_sumo.core.signal_letters import RED
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
@@ -23,7 +24,6 @@ NEAR_M = 70.0
 _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
-_RED = ("r", "u")
 _STANDS_MPS = 0.2
 _PAST = 3  # places that tell how fast somebody moves sideways
 
@@ -154,7 +154,7 @@ class SituationView:
 
     def is_red(self, link: Link) -> bool:
         """Return whether *link* has a red light now."""
-        return self.signal(link) in _RED
+        return self.signal(link) in RED
 
     def gives_way(self, link: Link, other: Link) -> bool:
         """Return whether *link* has to give way to *other* of the same junction, and not the other way round."""

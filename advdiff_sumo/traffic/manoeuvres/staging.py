@@ -14,6 +14,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
@@ -28,6 +29,8 @@ STAGED = 6
 """Most vehicles that come in during an episode, if nobody says otherwise."""
 _STEPS = 12
 _AGAIN_S = 2.0
+_NO_PLACE_BEFORE = RED | {PLAIN_YELLOW}
+"""Signals shortly before which nobody comes in."""
 _SLOWEST_MPS = 3.0
 AHEAD_M = 55.0
 """Within which nobody may lead the target where somebody is to come in."""
@@ -211,7 +214,7 @@ def _on_way(
     """Somebody *ahead_m* further along *way*, on no junction, before no red light and not at the road's end."""
     if ahead_m + 40.0 > way.lane.end_m:
         return
-    if any(reach < ahead_m + 10.0 and view.signal(link) in ("r", "u", "y") for reach, link in way.links):
+    if any(reach < ahead_m + 10.0 and view.signal(link) in _NO_PLACE_BEFORE for reach, link in way.links):
         return
     pose = way.line.at(way.lane.s_m + ahead_m)
     edges = tuple(lane.edge_id for lane in way.lane.lanes if not lane.is_internal)

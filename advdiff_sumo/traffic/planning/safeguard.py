@@ -21,6 +21,7 @@ from typing import TypeAlias
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.signal_letters import RED, YELLOW
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.planning.braking import LADDER_MPS2, SIDE_M, Braked, brake, brake_ahead
 from advdiff_sumo.traffic.planning.following_gap import keep_back
@@ -248,6 +249,6 @@ def stop_distances(futures: Futures, watched: SafeguardInput, rows: BoolArray) -
 
 def _limit(state: str) -> float:
     """Return the deceleration up to which a driver stops at a light of that state."""
-    if state in ("r", "u"):
+    if state in RED:
         return _STOP_BRAKE_MPS2
-    return _YELLOW_BRAKE_MPS2 if state in ("y", "Y") else -1.0
+    return _YELLOW_BRAKE_MPS2 if state in YELLOW else -1.0

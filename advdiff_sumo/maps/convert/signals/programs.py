@@ -14,6 +14,7 @@ from pathlib import Path
 import shapely
 from shapely.geometry import LineString, Point
 
+from advdiff_sumo.core.signal_letters import GREEN, PLAIN_RED, PLAIN_YELLOW, PROTECTED_GREEN, YIELDING_GREEN
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import NetPlan
@@ -24,7 +25,8 @@ from advdiff_sumo.maps.read_net import read_root
 from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S, clearance_s, rounded_up_s, yellow_at_s
 
 PROGRAM = re.compile(r'[ \t]*<tlLogic id="(?P<id>[^"]*)".*?</tlLogic>\n?', re.DOTALL)
-RISES_FROM = {"r": "gG", "g": "G"}  # lights with which a link may go where it had to wait before
+# lights with which a link may go where it had to wait before
+RISES_FROM = {PLAIN_RED: GREEN, YIELDING_GREEN: frozenset((PROTECTED_GREEN,))}
 CYCLE_S = 90.0
 SHORTEST_GREEN_S, LONGEST_GREEN_S = 5.0, 50.0  # between which SUMO's actuated control ends a green
 
@@ -60,7 +62,9 @@ def never_red(net: Path, plan: NetPlan) -> list[str]:
     held = {
         row.attrib["from"]
         for row in root.iterfind("connection")
-        if any(state[int(row.attrib["linkIndex"])] == "r" for state in states.get(row.get("tl", ""), ()))
+        if any(
+            state[int(row.attrib["linkIndex"])] == PLAIN_RED for state in states.get(row.get("tl", ""), ())
+        )
     }
     given = frozenset[str]().union(*plan.lights.values())
     return sorted(given.difference(*(plan.lights.get(edge, ()) for edge in held)))
@@ -94,10 +98,11 @@ def _change(
     if not ending:
         return []
     now, later = (state_of(part, links, size) for part in (stage, following))
-    starting = [link for link in links if later[link.index] in RISES_FROM.get(now[link.index], "")]
+    starting = [link for link in links if later[link.index] in RISES_FROM.get(now[link.index], frozenset())]
     lost = {link.index for link in ending}
     yellow, clearing = (
-        "".join(letter if index in lost else light for index, light in enumerate(now)) for letter in "yr"
+        "".join(letter if index in lost else light for index, light in enumerate(now))
+        for letter in (PLAIN_YELLOW, PLAIN_RED)
     )
     phases = [Phase(yellow, yellow_s(ending), green=False)]
     clearance_s = all_red_s(ending, starting, apart)

@@ -15,6 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from advdiff_sumo.core.signal_letters import PLAIN_RED, PROTECTED_GREEN, YIELDING_GREEN
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp
@@ -24,7 +25,7 @@ ACROSS = {
     False: Direction.LEFT,
     True: Direction.RIGHT,
 }  # by driving on the left: turns that cross oncoming traffic
-LIGHTS = "rgG"  # the later, the freer
+LIGHTS = PLAIN_RED, YIELDING_GREEN, PROTECTED_GREEN  # the later, the freer
 Stage = frozenset[int]  # links with green
 
 
@@ -210,9 +211,10 @@ def _cosine(link: SignalLink, foe: SignalLink) -> float:
 def state_of(stage: Stage, links: Sequence[SignalLink], size: int) -> str:
     """Return the state of a program's phase: ``G``, ``g`` for those that yield to others with green, or ``r``."""
     by_index = {link.index: link for link in links}
-    letters = ["r"] * size
+    letters = [PLAIN_RED] * size
     for index in sorted(stage):
         against = by_index[index].foes & stage
         first = all(index in by_index[foe].yields_to for foe in against)
-        letters[index] = "G" if first and not against & by_index[index].yields_to else "g"
+        protected = first and not against & by_index[index].yields_to
+        letters[index] = PROTECTED_GREEN if protected else YIELDING_GREEN
     return "".join(letters)

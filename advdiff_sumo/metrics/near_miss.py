@@ -24,6 +24,7 @@ from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.contact import standing_overlaps
 from advdiff_sumo.metrics.criticality import time_to_collision
+from advdiff_sumo.metrics.encounter import LEAST_SPEED_MPS
 from advdiff_sumo.metrics.kept_motion import (
     BRAKES_MPS2,
     Poses,
@@ -41,8 +42,6 @@ from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 NEAR_MISS_TTC_S = 2.5
 _AFTER_S = 4.0
 _REACH_M = 150.0
-#: Slower than this the target stands.
-_STANDS_MPS = 0.05
 
 
 class ResolvedBy(StrEnum):
@@ -114,7 +113,7 @@ def _candidates(record: EpisodeRecord) -> list[tuple[int, int]]:
     Neither do those at which the other, which appeared where the target was, still touches it.
     """
     seconds = time_to_collision(record.tracks, record.target)
-    stands = np.abs(record.tracks.speed_mps[record.target]) <= _STANDS_MPS
+    stands = np.abs(record.tracks.speed_mps[record.target]) <= LEAST_SPEED_MPS
     counts = np.isfinite(seconds) & ~stands & ~_behind(record)
     if (seconds == 0.0).any():
         counts &= ~_initial_contacts(record)
@@ -221,7 +220,7 @@ def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, 
         ahead, moved = _ahead_m(own, other, met), float(np.hypot(*(own.xy_m[met + 1] - own.xy_m[met])))
         if brake == 0.0 and ahead < -front:
             return 0.0
-    return float(BRAKES_MPS2[-1]) if ahead > front and moved > _STANDS_MPS * tracks.dt_s else 0.0
+    return float(BRAKES_MPS2[-1]) if ahead > front and moved > LEAST_SPEED_MPS * tracks.dt_s else 0.0
 
 
 def _ahead_m(own: Poses, other: Poses, step: int) -> float:

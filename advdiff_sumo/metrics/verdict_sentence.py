@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from advdiff_sumo.metrics.breaches import Breach
-from advdiff_sumo.metrics.encounter import Encounter
+from advdiff_sumo.metrics.encounter import LEAST_SPEED_MPS, Encounter
 from advdiff_sumo.metrics.fault import AtFault, Fault
 from advdiff_sumo.metrics.reference import ReferenceDrive
 
 #: Decelerating by more than this is braking; the regulation's driver takes its foot off the pedal with 0.4 m/s².
 _BRAKING_MPS2 = 0.5
-_STANDING_MPS = 0.05
 _COUNTS = "it counts, as the target is at fault"
 _SEARCHED = {
     True: "a drive exists that avoids it, for one who knows what the others will do",
@@ -91,7 +90,7 @@ def _stands_at_contact(drive: ReferenceDrive) -> bool:
 
 
 def _stands(drive: ReferenceDrive, at: int) -> bool:
-    return bool(abs(drive.states.speed_mps[at]) <= _STANDING_MPS)
+    return bool(abs(drive.states.speed_mps[at]) <= LEAST_SPEED_MPS)
 
 
 def _braking(met: Encounter, drive: ReferenceDrive) -> str:

@@ -21,7 +21,7 @@ from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT, LicenceName
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.planning.drawn import Drawn
-from advdiff_sumo.traffic.planning.futures import Futures, coasting, futures_of, join
+from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
 from advdiff_sumo.traffic.planning.safeguard import (
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
 _CHANGED_M = 0.1
-_STANDS_MPS, _WALKS_MPS, _SLIPPED_M = 0.2, 2.0, 0.3
+_SLIPPED_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def _watched(
     guided = np.isin(view.ids, attackers)
     driven = np.isin(np.arange(len(view.ids)), list(attack.driven))
     planned = view.moved & ~driven
-    dawdled = _slower(view.now, _WALKS_MPS)
+    dawdled = _slower(view.now, WALKS_MPS)
     ahead = [lanes.get(row) for row in rows.tolist()]
     for row in np.flatnonzero(planned & dawdled).tolist():
         if ahead[row] is None:
@@ -237,7 +237,7 @@ def _watched(
         target=0,
         motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
         people=np.isin(scene.history.classes[rows], PEOPLE),
-        stood=_with_rest(_slower(view.now, _STANDS_MPS) & ~driven, rest),
+        stood=_with_rest(_slower(view.now, STANDS_MPS) & ~driven, rest),
         dawdled=_with_rest(dawdled, rest),
         over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
         lanes=ahead,

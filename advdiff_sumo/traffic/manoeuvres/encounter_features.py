@@ -11,7 +11,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import AS_GOOD_AS_STANDS_MPS, KINDS, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 CIRCUMSTANCES = (
@@ -32,7 +32,7 @@ CIRCUMSTANCES = (
 FEATURES = (*KINDS, *CIRCUMSTANCES)
 """All D features; of two kinds no flag is 1 at once."""
 UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE)
-_ACROSS, _STANDS_MPS = 0.5, 0.5
+_ACROSS = 0.5
 
 
 def encounter_features(
@@ -82,7 +82,7 @@ def _circumstances(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float
         float(turned < -_ACROSS),
         float(abs(turned) <= _ACROSS),
         abs(float(np.sin(bearing))),
-        float(other < _STANDS_MPS),
+        float(other < AS_GOOD_AS_STANDS_MPS),
         float(_is_red(view, manoeuvre)),
     )
 

@@ -12,12 +12,12 @@ from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import goes_first, meeting_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.planning.futures import Futures
+from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 
 _BEFORE_LINE_M = 0.5
 _STOPS_MPS2, _HURRIES_MPS2 = 4.0, 2.0
 _SPARE_S, _ASIDE_M = 1.0, 1.5
-_STANDS_MPS, _AT_LINE_M = 0.2, 15.0
+_AT_LINE_M = 15.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _may_go(view: SituationView, target: _Entry) -> bool:
     if view.is_red(target.link) or not view.arrives_alone(target.line_m):
         return False
     history, row = view.scene.history, view.scene.target
-    if (np.abs(history.speed_mps[row][history.valid[row]]) > _STANDS_MPS).any():
+    if (np.abs(history.speed_mps[row][history.valid[row]]) > STANDS_MPS).any():
         return True
     first = goes_first(view, target.link)
     others = (_entry(view, other) for other in view.ways if other != row)

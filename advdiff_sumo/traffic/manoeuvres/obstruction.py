@@ -29,7 +29,8 @@ _MISSED_MPS2, _NEXT_S = 5.0, 0.5
 """Braking, at the next plan, that tells that SUMO does not follow the target: its drivers brake with 4.5 m/s²."""
 _GAINS_MPS2, _HOLDS_MPS2 = 2.6, 0.5
 """How fast SUMO's drivers gain speed, and the least braking of who is not to."""
-_BEFORE_M, _STAYS_M, _STANDS_MPS = 1.0, 2.0, 0.3
+_BEFORE_M, _STAYS_M, _HELD_MPS = 1.0, 2.0, 0.3
+"""Who is slower so close to who is as slow is held there."""
 _CLOSE_M = 2.0
 """Closer than this nobody stands behind a leader of SUMO's."""
 _ACROSS_MPS = 1.0
@@ -103,7 +104,7 @@ def _braking(view: SituationView, row: int) -> float:
         return 0.0
     speed, is_leader = view.speed(row), _is_leader(view, row)
     stays = _CLOSE_M if is_leader else _BEFORE_M + _STAYS_M
-    if speed < _STANDS_MPS and gap < stays and along < _STANDS_MPS:
+    if speed < _HELD_MPS and gap < stays and along < _HELD_MPS:
         return _BEGINS_MPS2
     needed = _needed_mps2(speed, gap, along)
     if _is_left_to_sumo(view, row, gap, along, is_leader):

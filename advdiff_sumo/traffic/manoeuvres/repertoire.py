@@ -31,7 +31,9 @@ AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 TIMING_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
 """How somebody with priority chooses when to arrive; of what serves alike, the sooner."""
 _REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)
-_LONGEST_DELAY_S, _STANDS_MPS = 2.0, 0.5
+_LONGEST_DELAY_S = 2.0
+AS_GOOD_AS_STANDS_MPS = 0.5
+"""Who is slower counts as standing for what a manoeuvre asks: the others need not reckon with its going on."""
 _TIMING_S = (1.5, 3.0)
 _HESITATES_MPS2, _GOES_MPS2 = (1.0, 2.0, 3.0), 2.5
 _HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
@@ -258,6 +260,6 @@ def _stands_before(view: SituationView, row: int) -> tuple[int, float] | None:
     places = ((other, *view.place_on(view.ways[row], other)) for other in view.ways if other != row)
     ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < _IN_LANE_M]
     distance, other = min(ahead, default=(np.inf, row))
-    if distance > _AHEAD_M or other == view.scene.target or view.speed(other) > _STANDS_MPS:
+    if distance > _AHEAD_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
         return None
     return other, view.gap_m(distance, row, other)

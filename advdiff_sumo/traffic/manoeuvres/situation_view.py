@@ -16,6 +16,7 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.planning.futures import STANDS_MPS
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import velocities
 
@@ -24,7 +25,6 @@ NEAR_M = 70.0
 _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
-_STANDS_MPS = 0.2
 _PAST = 3  # places that tell how fast somebody moves sideways
 
 
@@ -185,7 +185,7 @@ class SituationView:
         xy = np.repeat(now.xy_m[rows, -1:], len(times), axis=1)
         yaw = np.repeat(now.yaw_rad[rows, -1:], len(times), axis=1)
         for k, row in enumerate(rows.tolist()):
-            if self.speed(row) > _STANDS_MPS:
+            if self.speed(row) > STANDS_MPS:
                 xy[k], yaw[k] = self.ways[row].poses(self.speed(row) * times, times)
         return xy, yaw
 

@@ -17,7 +17,7 @@ FARTHEST_M = 45.0
 """Who stays farther away than this throughout is of no use."""
 IN_LANE_M = 2.0
 """Who is ahead of the target, and no farther to the side of its way, leads it."""
-STANDS_MPS = 2.0
+HARDLY_MOVES_MPS = 2.0
 """Nobody is guided against a target that drives more slowly, unless attackers may ram."""
 _SLANTED = np.cos(np.radians(40.0))
 
@@ -70,7 +70,7 @@ def can_attack(futures: Futures, moved: BoolArray, licence: LicenceName) -> Bool
     """
     if licence == "reckless":
         return moved
-    if futures.speed_mps[0, 0] < STANDS_MPS:
+    if futures.speed_mps[0, 0] < HARDLY_MOVES_MPS:
         return np.zeros_like(moved)
     return np.asarray(moved & (standing_of(futures).ahead_m > 0.0) & ~_is_on_way_of_target(futures))
 

@@ -16,7 +16,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.frames import unit
-from advdiff_sumo.traffic.planning.futures import Futures
+from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
 
 LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
@@ -30,7 +30,7 @@ _TIGHT_SIDE_M = 0.05
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 """Shares of that room that are tried where two are nearer than it now."""
 _SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
-_STANDS_MPS, _SLOW_MPS, _STARTS_M, _STAYS_M = 0.2, 2.0, 0.3, 0.01
+_STARTS_M, _STAYS_M = 0.3, 0.01
 _ROUNDS = 3
 
 
@@ -206,11 +206,11 @@ def _one_goes(
     starts, speed = futures.travelled_m()[:, -1] > _STARTS_M, futures.speed_mps[:, 0]
     both = brakes[first, second] & brakes[second, first] & starts[first] & starts[second]
     one_yields = yields[first, second] != yields[second, first]
-    both &= one_yields | (np.minimum(speed[first], speed[second]) < _STANDS_MPS)
+    both &= one_yields | (np.minimum(speed[first], speed[second]) < STANDS_MPS)
     if not both.any():
         return
     first, second, room, one_yields = first[both], second[both], room_m[both], one_yields[both]
-    stands, slow = speed < _STANDS_MPS, speed < _SLOW_MPS
+    stands, slow = speed < STANDS_MPS, speed < WALKS_MPS
     moves = np.where(stands[first] == stands[second], less_squarely[both], ~stands[first])
     right = np.where(one_yields, yields[second, first], moves)
     passes = _passes(futures, first, second, room)
@@ -236,7 +236,7 @@ def _room(
     now = _Boxes.now(futures)
     mine, yours = now.rows(first), now.rows(second)
     side = np.maximum(side_m[first], side_m[second])
-    slow = futures.speed_mps[:, 0] < _SLOW_MPS
+    slow = futures.speed_mps[:, 0] < WALKS_MPS
     side = np.where((side <= SIDE_M) & slow[first] & slow[second], _TIGHT_SIDE_M, side)
     full = np.stack((np.full(len(first), GAP_M), side), axis=-1)
     room = np.zeros_like(full)

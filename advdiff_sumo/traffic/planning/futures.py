@@ -17,6 +17,11 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 if TYPE_CHECKING:
     from advdiff_sumo.models.decoder import Rollout
 
+STANDS_MPS = 0.2
+"""A vehicle that is slower stands: what it moves is noise, not a way that it drives."""
+WALKS_MPS = 2.0
+"""A vehicle that is slower creeps: it can halt at once, and gets past others, or off a junction, by inches."""
+
 
 @dataclass(frozen=True)
 class Futures(KinematicStates):

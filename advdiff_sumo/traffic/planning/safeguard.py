@@ -25,7 +25,7 @@ from advdiff_sumo.core.signal_letters import RED, YELLOW
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.planning.braking import LADDER_MPS2, SIDE_M, Braked, brake, brake_ahead
 from advdiff_sumo.traffic.planning.following_gap import keep_back
-from advdiff_sumo.traffic.planning.futures import Futures, standing
+from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures, standing
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
@@ -35,7 +35,7 @@ from advdiff_sumo.traffic.planning.speed_bound import bound_speeds
 
 _FAR_M = 55.0
 """Farther from the target, vehicles among reckless ones follow their lanes, as in the paper's tables here."""
-_STANDS_MPS, _WALKS_MPS, _NOWHERE_M, _NOWHERE_STEPS = 0.2, 2.0, 0.3, 3
+_NOWHERE_M, _NOWHERE_STEPS = 0.3, 3
 _LEAVES_M, _BUDGES_M = 1.5, 0.1
 _CLEARS_M = 1.5
 LOST_BRAKE_MPS2 = 6.0
@@ -119,10 +119,10 @@ def safeguard(road: RoadMap, futures: Futures, watched: SafeguardInput) -> Safeg
     back_to_lane(plans, np.flatnonzero(followed), watched)
     rows = np.flatnonzero(watched.planned)
     bound_speeds(plans, rows, watched.lanes, road.legal_limits_mps, watched.over_limit)
-    fast = followed & (plans.speed_mps[:, 0] > _WALKS_MPS)
+    fast = followed & (plans.speed_mps[:, 0] > WALKS_MPS)
     wide = leaves_road(road, plans, fast, watched.motor)  # too fast for its lane
     moved = plans.travelled_m()
-    held = watched.planned & (plans.speed_mps[:, 0] < _STANDS_MPS)
+    held = watched.planned & (plans.speed_mps[:, 0] < STANDS_MPS)
     held &= moved[:, min(_NOWHERE_STEPS, plans.steps)] < _NOWHERE_M
     starts = held & watched.stood & (moved[:, -1] > _LEAVES_M)
     for row in np.flatnonzero(starts).tolist():
@@ -144,7 +144,7 @@ def _blocks_junction(futures: Futures, watched: SafeguardInput) -> BoolArray:
     """
     driven = futures.travelled_m()[:, min(_LOOK_STEPS, futures.steps)]
     dawdled = watched.planned & watched.dawdled & _inside(watched.lanes, np.zeros(futures.agents))
-    stops = futures.speed_mps[:, min(_LOOK_STEPS, futures.steps)] < _STANDS_MPS
+    stops = futures.speed_mps[:, min(_LOOK_STEPS, futures.steps)] < STANDS_MPS
     stops &= watched.planned & _inside(watched.lanes, driven)
     return np.asarray(np.where(watched.attacker, dawdled & (driven < _CLEARS_M), dawdled | stops))
 

@@ -11,15 +11,22 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.core.record import EndReason
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.traffic.manoeuvres.repertoire import LEADS_M
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS
+from advdiff_sumo.traffic.manoeuvres.repertoire import (
+    AHEAD_M,
+    AS_GOOD_AS_STANDS_MPS,
+    BEHIND_M,
+    BESIDE_M,
+    IN_LANE_M,
+    LEADS_M,
+    SAME_WAY,
+    STOPPING_KINDS,
+    STOPS_FROM_MPS,
+)
 
-_STANDS_MPS, _SLOW_MPS, _SHORT_S = 0.5, 3.0, 6.0
-"""Nobody comes in for a target slower than 3 m/s, and who has come in drives ordinarily at first."""
-_FROM_STOPPING_MPS = 5.0
-"""Who stops must be faster."""
-_NEAR_M, _BEHIND_M, _IN_LANE_M, _BESIDE_M, _SAME_WAY = 55.0, -10.0, 1.2, 5.5, 0.9
+_SHORT_S = 6.0
+"""Who has come in drives ordinarily at first."""
 _FROM_AHEAD = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
-_STOPS = ("hard-stop", "blocked-lane")
 
 
 def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
@@ -36,9 +43,9 @@ def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
 
 def _of_target(states: EpisodeStates) -> Iterator[str]:
     fastest = float(np.nanmax(states.tracks.speed_mps[states.target]))
-    if fastest < _STANDS_MPS:
+    if fastest < AS_GOOD_AS_STANDS_MPS:
         yield "the target stood"
-    elif fastest < _SLOW_MPS:
+    elif fastest < SLOWEST_TARGET_MPS:
         yield f"the target drove at most {fastest:.1f} m/s"
 
 
@@ -46,12 +53,12 @@ def _of_others(attack: str, states: EpisodeStates) -> Iterator[str]:
     ahead, beside = _places(states)
     if attack in _FROM_AHEAD and not ahead.any():
         yield f"nobody was straight ahead of it within {LEADS_M:g} m"
-    elif attack in _STOPS:
+    elif attack in STOPPING_KINDS:
         fastest = float(states.tracks.speed_mps[ahead].max())
-        if fastest <= _FROM_STOPPING_MPS:
+        if fastest <= STOPS_FROM_MPS:
             yield f"who was ahead of it drove at most {fastest:.1f} m/s"
     elif attack == "cut-in" and not beside.any():
-        yield f"nobody drove beside it within {_NEAR_M:g} m"
+        yield f"nobody drove beside it within {AHEAD_M:g} m"
 
 
 def _places(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
@@ -60,11 +67,11 @@ def _places(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
     yaw = tracks.yaw_rad[target]
     place = local_from_world(tracks.xy_m, tracks.xy_m[target], yaw)
     along, aside = place[..., 0], np.abs(place[..., 1])
-    same = np.cos(tracks.yaw_rad - yaw) > _SAME_WAY
+    same = np.cos(tracks.yaw_rad - yaw) > SAME_WAY
     same[target] = False
-    ahead = same & (along > 0.0) & (along < LEADS_M) & (aside < _IN_LANE_M)
-    near = same & (along > _BEHIND_M) & (along < _NEAR_M)
-    return ahead, near & (aside > _IN_LANE_M) & (aside < _BESIDE_M)
+    ahead = same & (along > 0.0) & (along < LEADS_M) & (aside < IN_LANE_M)
+    near = same & (along > BEHIND_M) & (along < AHEAD_M)
+    return ahead, near & (aside > IN_LANE_M) & (aside < BESIDE_M)
 
 
 def _of_time(row: Mapping[str, Any]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, goes_first
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, goes_first
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import AHEAD_M, begins, can_hide
 
@@ -17,7 +17,6 @@ TURN_S = 7.0
 TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
 """Kinds that have turns; a cut-out at the first instant alone."""
 _CROSSING_FIRST, _CUT_OUT_FIRST = 0.5, 0.4
-_SLOWEST_MPS = 3.0
 _LATER = ("cut-in", "hard-stop")
 _FORESEES_S = 8.0
 
@@ -112,7 +111,7 @@ def waits_at_red(view: SituationView) -> bool:
 def _lets_pass(view: SituationView, reach_m: float) -> Sequence[Link]:
     """Return the links ahead, within *reach_m*, where a target that moves arrives alone and others go first."""
     target = view.target
-    if target is None or target.speed_mps <= _SLOWEST_MPS:
+    if target is None or target.speed_mps <= SLOWEST_TARGET_MPS:
         return ()
     ahead = (link for reach, link in target.way.links if 0.0 < reach < reach_m and view.arrives_alone(reach))
     return [link for link in ahead if goes_first(view, link)]

@@ -10,20 +10,24 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import axis_gaps
+from advdiff_sumo.metrics.reference.driver_models import HUMAN
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_DT_S, FINE_TIMES_S, speeds_along
+from advdiff_sumo.traffic.manoeuvres.intensity import HARDEST_MPS2
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, FINE
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-REACTION_S = 0.75
+REACTION_S = HUMAN.delay_s
 """Delay of a careful and competent driver (UN Regulation No. 157, Annex 4, Appendix 3)."""
 BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 """Decelerations that are tried, mildest first."""
 UNANSWERABLE_MPS2 = 99.0
 """Stands for an encounter that none of them avoids."""
 _ROOM_M = 0.3
-BELIEVED_MPS2, FULL_BRAKING_MPS2 = 4.5, 9.0
-"""Braking with which somebody is believed to stop at its line still; and of a target that finds it will not."""
-_NOTICES_S, _HURRIES_MPS2 = 0.25, 2.0
+BELIEVED_MPS2 = 4.5
+"""Braking with which somebody is believed to stop at its line still; who finds it will not brakes its hardest."""
+HURRIES_MPS2 = 2.0
+"""How fast somebody gains speed who hurries to be past."""
+_NOTICES_S = 0.25
 _NEARLY_S = (-0.2, 0.0, 0.2)
 LATE_S = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
 """By how much the target may be early or late."""
@@ -66,8 +70,8 @@ class TargetWay:
 
     def ways_out_m(self, from_s: float) -> FloatArray:
         """Return (2, 121) distances driven at ``FINE_TIMES_S`` if it brakes in full, or hurries, *from_s* on."""
-        hurries = self.goes_on_mps + _HURRIES_MPS2 * np.maximum(FINE_TIMES_S - from_s, 0.0)
-        return _driven(np.vstack((self._braked_mps((FULL_BRAKING_MPS2,), from_s), hurries)))
+        hurries = self.goes_on_mps + HURRIES_MPS2 * np.maximum(FINE_TIMES_S - from_s, 0.0)
+        return _driven(np.vstack((self._braked_mps((HARDEST_MPS2,), from_s), hurries)))
 
     def _braked_mps(self, braking_mps2: Sequence[float], from_s: float) -> FloatArray:
         then = float(np.interp(from_s, FINE_TIMES_S, self.goes_on_mps))

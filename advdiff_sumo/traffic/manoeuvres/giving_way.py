@@ -10,12 +10,12 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import goes_first, meeting_m
+from advdiff_sumo.traffic.manoeuvres.answers import HURRIES_MPS2
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import STOPS_MPS2, goes_first, meeting_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 
 _BEFORE_LINE_M = 0.5
-_STOPS_MPS2, _HURRIES_MPS2 = 4.0, 2.0
 _SPARE_S, _ASIDE_M = 1.0, 1.5
 _AT_LINE_M = 15.0
 
@@ -45,7 +45,7 @@ class _Entry:
     def is_late(self) -> bool:
         """Whether it is over the line, or could not stop before it by braking with 4 m/s²."""
         room_m = max(self.room_m, 0.5 * _BEFORE_LINE_M)
-        return self.is_over or self.speed_mps**2 > 2.0 * _STOPS_MPS2 * room_m
+        return self.is_over or self.speed_mps**2 > 2.0 * STOPS_MPS2 * room_m
 
     @property
     def is_over(self) -> bool:
@@ -139,8 +139,8 @@ def _gets_in_the_way(
 def _soonest_s(ahead_m: float, speed_mps: float, limit_mps: float) -> float:
     """Return when somebody who hurries is *ahead_m* further on."""
     fastest = max(speed_mps, limit_mps)
-    gains_m = (fastest**2 - speed_mps**2) / (2.0 * _HURRIES_MPS2)
+    gains_m = (fastest**2 - speed_mps**2) / (2.0 * HURRIES_MPS2)
     if ahead_m <= gains_m:
-        reached = float(np.sqrt(speed_mps**2 + 2.0 * _HURRIES_MPS2 * max(ahead_m, 0.0)))
-        return (reached - speed_mps) / _HURRIES_MPS2
-    return (fastest - speed_mps) / _HURRIES_MPS2 + (ahead_m - gains_m) / fastest
+        reached = float(np.sqrt(speed_mps**2 + 2.0 * HURRIES_MPS2 * max(ahead_m, 0.0)))
+        return (reached - speed_mps) / HURRIES_MPS2
+    return (fastest - speed_mps) / HURRIES_MPS2 + (ahead_m - gains_m) / fastest

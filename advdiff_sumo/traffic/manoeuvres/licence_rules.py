@@ -18,15 +18,15 @@ from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.free_speed import takes_bends
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
-from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import STOPPING_KINDS, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.planning.braking import SIDE_M
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M
 
-_ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, 0.15]), np.array([0.5, PEOPLE_SIDE_M])
+_ROOM_M, _PEOPLE_ROOM_M = np.array([0.5, SIDE_M]), np.array([0.5, PEOPLE_SIDE_M])
 _SOON_STEPS, _CROSSED_STEPS, _SET_UP_STEPS = {False: 10, True: 5}, 15, 3
 _STOPS_MPS2 = 3.0
-_STOPS = ("hard-stop", "blocked-lane")
 
 
 def lawful(
@@ -112,7 +112,7 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
 
 def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
     """Return whether a stop does not end inside a junction."""
-    if manoeuvre.kind not in _STOPS or manoeuvre.sets_up:
+    if manoeuvre.kind not in STOPPING_KINDS or manoeuvre.sets_up:
         return True
     at = manoeuvre.way.lane.s_m + driven_m
     for lane in manoeuvre.way.lane.lanes:

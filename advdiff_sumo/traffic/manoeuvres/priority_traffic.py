@@ -21,10 +21,12 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACH_M = 80.0
 """Distance within which a junction ahead is looked at."""
+SLOWEST_TARGET_MPS = 3.0
+"""For a slower target nobody comes in, and nobody is timed to cross its way."""
 _SOONEST_S, _LATEST_S, _RED_S = 3.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
-_STOPS_MPS2 = 4.0
+STOPS_MPS2 = 4.0
 """Braking with which a careful driver who sees somebody come in still stops at its line."""
 _WAITS_BEFORE_M = 2.5
 """Before the middle of the other's lane: where who turns across it waits."""
@@ -60,7 +62,7 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
         early_s: how long before the target they are there; None: with it.
     """
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS:
+    if target is None or target.speed_mps < SLOWEST_TARGET_MPS:
         return
     for reach, link in target.way.links:
         if not 0.0 < reach < REACH_M or not view.arrives_alone(reach):
@@ -91,7 +93,7 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
 
 def _still_stops(target: TargetWay, reach_m: float) -> bool:
     """Return whether a careful driver stops with its front before a place *reach_m* ahead, if it sees cause to now."""
-    stops_m = float(target.brakes((_STOPS_MPS2,), REACTION_S)[0][0, -1])
+    stops_m = float(target.brakes((STOPS_MPS2,), REACTION_S)[0][0, -1])
     return stops_m <= reach_m - 0.5 * float(target.size_m[0])
 
 

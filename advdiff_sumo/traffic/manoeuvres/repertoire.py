@@ -20,6 +20,8 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
+STOPPING_KINDS = ("hard-stop", "blocked-lane")
+"""Kinds that end in a stop in the lane."""
 HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
 HEAVY_MPS2 = 7.0
@@ -42,13 +44,17 @@ _BRAKES_SHARE = 0.8
 """Share of the time of a lane change after which somebody slows: a tenth of the way is left, the box is in the lane."""
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
-_IN_LANE_M, _BESIDE_M = 1.2, 5.5
-_AHEAD_M, _CROSSING_M = 55.0, 60.0
+IN_LANE_M, BESIDE_M = 1.2, 5.5
+"""Who is nearer to the middle of a way is on it; who is on a lane beside it is no farther from it."""
+BEHIND_M, AHEAD_M, SAME_WAY = -10.0, 55.0, 0.9
+"""Between which somebody beside the target is near it; and the least cosine of who drives its way."""
+_CROSSING_M = 60.0
 LEADS_M = 68.0
 """Within which somebody leads the target: at 40 m/s 1.5 s ahead."""
 _NOWHERE = (np.inf, np.inf)
 _SLOWEST_MPS = 2.0
-_STOPS_FROM_MPS = 5.0
+STOPS_FROM_MPS = 5.0
+"""Who is to stop drives faster."""
 _CROSSES_SHARE = 0.45
 """Share of the limit below which nobody slows who has priority."""
 _SPARE_M, _CLOSES_PER_S, _SETTLES_S = 2.0, 0.6, 0.8
@@ -72,7 +78,7 @@ def leads_steadily(view: SituationView, target: TargetWay, row: int) -> SpeedPro
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
     gap = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
     more = gap - (HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
-    slow = min(max(_CLOSES_UP_SHARE * target.speed_mps, _STOPS_FROM_MPS + 1.0), limit)
+    slow = min(max(_CLOSES_UP_SHARE * target.speed_mps, STOPS_FROM_MPS + 1.0), limit)
     aims = float(np.clip(target.speed_mps - _CLOSES_UP_PER_S * more, slow, limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GAINS_MPS2))
     return SpeedProfile(accel, _SETTLES_S, 0.0, min(slow, drives), limit)
@@ -218,7 +224,7 @@ def _edge(link: Link) -> str:
 
 
 def _stops(view: SituationView, row: int, kind: str, braking: tuple[float, ...]) -> Iterator[Manoeuvre]:
-    if _leads(view, row) and view.speed(row) > _STOPS_FROM_MPS:
+    if _leads(view, row) and view.speed(row) > STOPS_FROM_MPS:
         for brake in _possible(view, row, braking):
             yield Manoeuvre(kind, row, view.ways[row], SpeedProfile(then_mps2=-brake))
 
@@ -236,12 +242,12 @@ def _leads(view: SituationView, row: int) -> bool:
         return False
     ahead, left = view.on_target_way[row]
     same = np.cos(view.scene.history.yaw_rad[row, -1] - target.way.line.at(target.way.lane.s_m + ahead)[1])
-    return bool(0.0 < ahead < LEADS_M and abs(left) < _IN_LANE_M and same > 0.9)
+    return bool(0.0 < ahead < LEADS_M and abs(left) < IN_LANE_M and same > SAME_WAY)
 
 
 def _beside(view: SituationView, row: int) -> bool:
     ahead, left = view.on_target_way.get(row, _NOWHERE)
-    return -10.0 < ahead < _AHEAD_M and _IN_LANE_M < abs(left) < _BESIDE_M
+    return BEHIND_M < ahead < AHEAD_M and IN_LANE_M < abs(left) < BESIDE_M
 
 
 def _lane_of_target(view: SituationView, row: int) -> Way | None:
@@ -258,8 +264,8 @@ def _lane_of_target(view: SituationView, row: int) -> Way | None:
 def _stands_before(view: SituationView, row: int) -> tuple[int, float] | None:
     """Return who is next on the way of *row* and stands, and the bumper gap to it; None where it does not stand."""
     places = ((other, *view.place_on(view.ways[row], other)) for other in view.ways if other != row)
-    ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < _IN_LANE_M]
+    ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < IN_LANE_M]
     distance, other = min(ahead, default=(np.inf, row))
-    if distance > _AHEAD_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
+    if distance > AHEAD_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
         return None
     return other, view.gap_m(distance, row, other)

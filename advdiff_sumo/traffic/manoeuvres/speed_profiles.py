@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 
-PLAN_STEPS, PLAN_DT_S = 12, 0.5
-"""A plan: 6 s at the model step."""
+PLAN_STEPS, PLAN_DT_S = FUTURE_STEPS, MODEL_STEP_S
+"""A plan is as long as the futures of the networks."""
 CHECK_DT_S = 0.25
 """Spacing at which boxes are compared."""
 CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_DT_S) + 1.0) * CHECK_DT_S

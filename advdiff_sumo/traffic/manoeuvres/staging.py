@@ -17,21 +17,19 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import Approach, approaches
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS, Approach, approaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.MOTORCYCLE: (2.2, 0.8)}
 """Length and width of who comes in."""
 STAGED = 6
 """Most vehicles that come in during an episode, if nobody says otherwise."""
-_STEPS = 12
 _AGAIN_S = 2.0
 _NO_PLACE_BEFORE = RED | {PLAIN_YELLOW}
 """Signals shortly before which nobody comes in."""
-_SLOWEST_MPS = 3.0
 AHEAD_M = 55.0
 """Within which nobody may lead the target where somebody is to come in."""
 _LATER_M, _FARTHEST_M = 36.0, 72.0
@@ -128,7 +126,7 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
     """
     if not newcomers:
         return JointPlan(tracks, attack=attack)
-    driven = PLAN_DT_S * np.arange(1.0, _STEPS + 1.0)
+    driven = PLAN_DT_S * np.arange(1.0, PLAN_STEPS + 1.0)
     poses = [one.way.poses(one.speed_mps * driven, driven) for one in newcomers]
     more = Tracks(
         ids=tuple(one.name for one in newcomers),
@@ -136,8 +134,8 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
         size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
         xy_m=np.stack([xy for xy, _ in poses]),
         yaw_rad=np.stack([yaw for _, yaw in poses]),
-        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], _STEPS, axis=1),
-        valid=np.ones((len(newcomers), _STEPS), dtype=np.bool_),
+        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], PLAN_STEPS, axis=1),
+        valid=np.ones((len(newcomers), PLAN_STEPS), dtype=np.bool_),
         t0_s=tracks.t0_s,
         dt_s=PLAN_DT_S,
     )
@@ -153,7 +151,11 @@ def begins(view: SituationView) -> bool:
 def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody ahead in the target's lane, where nobody is."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS or view.anybody_on(target.way, AHEAD_M, _IN_LANE_M):
+    if (
+        target is None
+        or target.speed_mps < SLOWEST_TARGET_MPS
+        or view.anybody_on(target.way, AHEAD_M, _IN_LANE_M)
+    ):
         return
     least = _LEAST_AHEAD_M if begins(view) else _LATER_M
     gap = max(HEADWAY_S * target.speed_mps + 8.0, least)
@@ -163,7 +165,7 @@ def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
 def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_MPS or not view.is_first(AHEAD_M):
+    if target is None or target.speed_mps < SLOWEST_TARGET_MPS or not view.is_first(AHEAD_M):
         return
     speed = target.speed_mps + view.gains_mps2(view.scene.target)
     least = _LEAST_AHEAD_M if begins(view) else _LATER_FROM_TARGET_M + 1.0
@@ -200,7 +202,7 @@ def _hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
     speed = target.speed_mps
     leads_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
     stands_m = min(leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0], _STANDS_AT_MOST_M)
-    if speed < _SLOWEST_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
+    if speed < SLOWEST_TARGET_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
         return ()
     leader = _on_way(view, target.way, leads_m, speed, AgentClass.CAR)
     standing = _on_way(view, target.way, stands_m, 0.0, stage.agent_class)

@@ -12,12 +12,13 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
+from advdiff_sumo.traffic.planning.braking import GAP_M, SIDE_M
 from advdiff_sumo.traffic.planning.futures import Futures
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
 
 OWN_BRAKE_MPS2 = 7.0
 """Braking from the next plan on with which it has to be able to stop."""
-_ROOM_M, _ASIDE_M, _SAME_WAY = 1.0, 0.15, 0.7
+_SAME_WAY = 0.7
 _CREEPS_M = 0.1
 """Who plans to drive less than this along either axis does not get to anybody."""
 _EASES_STEPS = 2
@@ -51,7 +52,7 @@ def keep_back(futures: Futures, rows: BoolArray, target: int, ladder_mps2: tuple
         driven = _driven(futures, row, ladder_mps2)  # (C, T)
         speed = 2.0 * driven[:, 0] / futures.dt_s - futures.speed_mps[row, 0]
         stops = driven[:, 0] + 0.5 * np.maximum(speed, 0.0) ** 2 / OWN_BRAKE_MPS2
-        enough = stops + _ROOM_M <= place[0] + 0.5 * place[1] ** 2 / FULL_BRAKE_MPS2
+        enough = stops + GAP_M <= place[0] + 0.5 * place[1] ** 2 / FULL_BRAKE_MPS2
         best = int(enough.argmax()) if enough.any() else len(driven) - 1
         if best > 0:
             xy, yaw = path.at(row, driven[best])
@@ -64,7 +65,7 @@ def _near_plan(futures: Futures, target: int) -> BoolArray:
     """Return (N,) whose path goes anywhere and has the rear of the target within its bounding box, with room."""
     low, high = futures.xy_m.min(axis=1), futures.xy_m.max(axis=1)
     width = futures.size_m[:, 1] + futures.size_m[target, 1]
-    room = (0.5 * (futures.size_m[:, 0] + width) + _ASIDE_M)[:, None]
+    room = (0.5 * (futures.size_m[:, 0] + width) + SIDE_M)[:, None]
     rear = _rear(futures, target)
     within = ((low - room <= rear) & (rear <= high + room)).all(axis=1)
     return np.asarray(within & ((high - low).max(axis=1) >= _CREEPS_M))
@@ -86,7 +87,7 @@ def _place_ahead(futures: Futures, row: int, target: int) -> tuple[float, float]
     s, left = (float(value) for value in line.project(_rear(futures, target), extrapolate=True))
     cos = float(np.cos(yaw - float(line.at(float(np.clip(s, 0.0, line.length_m)))[1])))
     gap = s - 0.5 * float(futures.size_m[row, 0])
-    aside = 0.5 * float(futures.size_m[[row, target], 1].sum()) + _ASIDE_M
+    aside = 0.5 * float(futures.size_m[[row, target], 1].sum()) + SIDE_M
     if abs(left) > aside or cos < _SAME_WAY or not 0.0 < gap < line.length_m:
         return None
     return gap, max(float(futures.speed_mps[target, 0]) * cos, 0.0)

@@ -46,9 +46,10 @@ class Registry:
         return [*self.builtins, *(e.name for e in self._plugins())]
 
     def described(self) -> dict[str, str]:
-        """Return every name that resolves with what it is; of a plug-in that is its ``package.module:attribute``."""
-        plugins = {plugin.name: f"plug-in {plugin.value}" for plugin in self._plugins()}
-        return {name: self.descriptions.get(name, source) for name, source in self.builtins.items()} | plugins
+        """Return every name that resolves with what it is; of a plug-in "plug-in package.module:attribute"."""
+        own = {name: self.descriptions.get(name, source) for name, source in self.builtins.items()}
+        plugins = {one.name: f"plug-in {one.value}" for one in self._plugins() if one.name not in own}
+        return own | plugins
 
     def builtin_module(self, name: str) -> str | None:
         """Return the module of the built-in that *name* stands for; None where it is none."""

@@ -99,6 +99,17 @@ def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.syspath_prepend(str(tmp_path))
     assert SHAPES.names() == ["lane_graph", "IDM", "Their_Planner"]
     assert SHAPES.load("their-planner") is Fraction
+    assert SHAPES.described()["Their_Planner"] == "plug-in fractions:Fraction"
+
+
+def test_a_plugin_takes_no_built_ins_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    info = tmp_path / "their_plugin-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-plugin\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[advdiff_sumo.tests_none]\nlane_graph = decimal:Decimal\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert SHAPES.load("lane_graph") is Fraction
+    assert SHAPES.described() == {"lane_graph": "fractions:Fraction", "IDM": "math:tau"}
 
 
 @pytest.mark.parametrize("registry", [TARGETS, POLICIES])

@@ -99,6 +99,9 @@ def load(folder: Path) -> tuple[TrainingProgress, dict[str, dict[str, Tensor]]]:
     except (SafetensorError, OSError, ValueError, TypeError, KeyError) as error:
         raise WeightsError(path, f"cannot be read ({error})", "start the training afresh") from None
     progress.sums = {name: (value, weight) for name, (value, weight) in progress.sums.items()}
+    elbo = progress.options.get("elbo", {})
+    if elbo.get("prior_weight") == 0.0:  # an option of earlier versions, which did nothing at 0
+        del elbo["prior_weight"]
     return progress, groups
 
 

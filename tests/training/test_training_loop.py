@@ -201,6 +201,27 @@ def test_another_seed_is_no_resumed_training(window_folder: Path, tmp_path: Path
         run(replace(job(window_folder, tmp_path / "out"), seed=6), resume=True)
 
 
+def test_a_training_of_before_an_option_went_goes_on(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path / "whole"))
+    out = tmp_path / "out"
+    run(job(window_folder, out), stop_after=2)
+    progress, groups = checkpoint.load(out)
+    progress.options["elbo"]["prior_weight"] = 0.0
+    checkpoint.save(out, progress, groups)
+    assert TrainOptions.parse(checkpoint.load(out)[0].options).elbo == options().elbo
+    run(job(window_folder, out), resume=True)
+    assert files(out) == files(tmp_path / "whole")
+
+
+def test_a_training_with_an_option_that_went_does_not_go_on(window_folder: Path, tmp_path: Path) -> None:
+    run(job(window_folder, tmp_path), stop_after=1)
+    progress, groups = checkpoint.load(tmp_path)
+    progress.options["elbo"]["prior_weight"] = 0.5
+    checkpoint.save(tmp_path, progress, groups)
+    with pytest.raises(ConfigError, match=r"no option 'elbo\.prior_weight'"):
+        TrainOptions.parse(checkpoint.load(tmp_path)[0].options)
+
+
 def test_returns_longer_than_a_window_are_refused() -> None:
     with pytest.raises(ConfigError, match="execute × returns = 14: the future of a window has 12 steps"):
         preset("small", "reward", ["reward.returns=7"])

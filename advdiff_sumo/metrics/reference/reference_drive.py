@@ -359,6 +359,9 @@ def drive_all(
     collision: Collision | Encounter,
     lookback_s: float = LOOKBACK_S,
 ) -> dict[str, ReferenceDrive]:
-    """Return :func:`drive_reference` for every model, what they perceive worked out once."""
+    """Return :func:`drive_reference` for every model, what they perceive worked out once.
+
+    They take over at most *lookback_s* before the contact.
+    """
     drivers = ReferenceDrivers(record, road, collision, lookback_s)
     return {model: drivers.drive(model) for model in MODELS}

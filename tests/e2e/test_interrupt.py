@@ -107,6 +107,14 @@ def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> Non
     assert said.splitlines() == [KEPT]
 
 
+def test_ctrl_c_while_a_text_is_executed(grid: Path, tmp_path: Path) -> None:
+    """As dataclasses do while a package is imported: Python remembers the exception though it is caught."""
+    (tmp_path / "impatient.py").write_text("exec('raise KeyboardInterrupt')\n")
+    running = begin("run", "--net", grid, "--target", "impatient:Planner", "--out", "out", cwd=tmp_path)
+    _, said = running.communicate(timeout=HANG_S)
+    assert (running.returncode, said.splitlines()) == (130, [KEPT])
+
+
 def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None:
     folder = _place(grid, tmp_path)
     (folder / "endless.py").write_text(ENDLESS)

@@ -35,7 +35,7 @@ class Scene {
     }
   }
 
-  // Shows the target's whole way, and the attacker's where it is near.
+  // Shows the target's whole way, and the attacker's where it is near, with room for their names at the sides.
   fit() {
     const { episode, facts } = this, [ox, oy] = episode.origin, points = [];
     for (let k = 0; k < episode.steps; k++) {
@@ -48,7 +48,8 @@ class Scene {
     if (facts.impact) points.push([facts.impact[0] - ox, facts.impact[1] - oy]);
     const bounds = (axis) => [Math.min(...points.map((p) => p[axis])), Math.max(...points.map((p) => p[axis]))];
     const [x0, x1] = bounds(0), [y0, y1] = bounds(1), margin = 24;
-    const scale = Math.min(this.width / Math.max(x1 - x0 + margin, 50), this.height / Math.max(y1 - y0 + margin, 35));
+    const across = this.width - 2 * Math.min(120, 0.16 * this.width);
+    const scale = Math.min(across / Math.max(x1 - x0, 35), this.height / Math.max(y1 - y0 + margin, 35));
     this.view = { x: ox + (x0 + x1) / 2, y: oy + (y0 + y1) / 2, scale };
   }
 

@@ -91,23 +91,24 @@ def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
         SHAPES.load("__main__:NoSuchClass")
 
 
-def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    info = tmp_path / "their_plugin-1.0.dist-info"
+def install(entry_point: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Install a package in *folder* that registers *entry_point* among the shapes."""
+    info = folder / "their_plugin-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-plugin\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[advdiff_sumo.tests_none]\nTheir_Planner = fractions:Fraction\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    (info / "entry_points.txt").write_text(f"[{SHAPES.group}]\n{entry_point}\n")
+    monkeypatch.syspath_prepend(str(folder))
+
+
+def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    install("Their_Planner = fractions:Fraction", monkeypatch, tmp_path)
     assert SHAPES.names() == ["lane_graph", "IDM", "Their_Planner"]
     assert SHAPES.load("their-planner") is Fraction
     assert SHAPES.described()["Their_Planner"] == "plug-in fractions:Fraction"
 
 
 def test_a_plugin_takes_no_built_ins_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    info = tmp_path / "their_plugin-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-plugin\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[advdiff_sumo.tests_none]\nlane_graph = decimal:Decimal\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    install("lane_graph = decimal:Decimal", monkeypatch, tmp_path)
     assert SHAPES.load("lane_graph") is Fraction
     assert SHAPES.described() == {"lane_graph": "fractions:Fraction", "IDM": "math:tau"}
 

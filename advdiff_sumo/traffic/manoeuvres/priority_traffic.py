@@ -64,6 +64,7 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
     target = view.target
     if target is None or target.speed_mps < SLOWEST_TARGET_MPS:
         return
+    stops_m = _stops_m(target)
     for reach, link in target.way.links:
         if not 0.0 < reach < REACH_M or not view.arrives_alone(reach):
             return
@@ -73,7 +74,7 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
             (other, places)
             for other in foes
             if (places := meeting_m(view.road, link, other))
-            and _still_stops(target, reach + _waits_m(view, link, other, places[0]))
+            and stops_m <= reach + _waits_m(view, link, other, places[0])
         ]
         if red:
             met.sort(key=lambda one: one[1][1])  # who is soon there leaves the least time to see it coming
@@ -91,10 +92,9 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
             return
 
 
-def _still_stops(target: TargetWay, reach_m: float) -> bool:
-    """Return whether a careful driver stops with its front before a place *reach_m* ahead, if it sees cause to now."""
-    stops_m = float(target.brakes((STOPS_MPS2,), REACTION_S)[0][0, -1])
-    return stops_m <= reach_m - 0.5 * float(target.size_m[0])
+def _stops_m(target: TargetWay) -> float:
+    """Return how far ahead of its centre the front of a careful driver stops that sees cause to now."""
+    return float(target.brakes((STOPS_MPS2,), REACTION_S)[0][0, -1]) + 0.5 * float(target.size_m[0])
 
 
 def _waits_m(view: SituationView, link: Link, other: Link, meets_m: float) -> float:

@@ -87,8 +87,8 @@ Licence: TypeAlias = Annotated[
 Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out; with "
-        "--licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
+        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out, queue; "
+        "with --licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
         show_default="any",
     ),
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.verdict import judge
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionMemory
-from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 NEAR_S, NEAR_WORTH = 0.5, 0.5
@@ -71,17 +71,17 @@ class EncounterLog:
         plan, after = self.policy.plan(road, scene, memory, rng)
         before = _commitments(memory)
         self.plans.append(scene.time_s)
-        for name, one in _commitments(after).items():
-            if one.features and not one.sets_up and before.get(name) != one and one.since_s == scene.time_s:
-                standing = tuple(other for other, stays in before.items() if stays.kind == STANDS)
-                names = (name, *standing) if one.kind == "cut-out" else (name,)
+        for name, one in _commitments(after).active.items():
+            began = before.active.get(name) != one and one.since_s == scene.time_s
+            if one.features and not one.sets_up and began:
+                names = (name, *before.standing.names) if one.kind == "cut-out" else (name,)
                 self.begun.append(BegunEncounter(one.since_s, names, one.features))
         return plan, after
 
 
-def _commitments(memory: Any) -> Mapping[str, Any]:
+def _commitments(memory: Any) -> Commitments:
     kept = memory.commitments if isinstance(memory, DiffusionMemory) else memory
-    return kept.active if isinstance(kept, Commitments) else {}
+    return kept if isinstance(kept, Commitments) else Commitments({})
 
 
 def outcomes(

@@ -9,6 +9,7 @@ _DOES: Mapping[str, str] = {
     "any": "attack",
     "cut-in": "cut in",
     "cut-out": "cut out",
+    "queue": "be the end of a queue before it",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
     "junction": "cross its way",

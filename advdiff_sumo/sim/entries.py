@@ -9,6 +9,8 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.core.tracking import State
 
+_APART_M, _STOPS_MPS2, _SAME_WAY = 10.0, 4.0, 0.5
+
 
 def completed(tracks: Tracks, now: State) -> tuple[State, State]:
     """Return present states and a plan that lack nothing, so that they can be driven.
@@ -70,3 +72,21 @@ def presence(tracks: Tracks, absent: BoolArray, step_s: float, steps: int) -> Bo
             ends = np.inf if known[-1] == tracks.steps - 1 else last + 2e-9
             out[row] = (time >= begins) & (time <= ends)
     return out
+
+
+def have_room(new: State, others: State) -> BoolArray:
+    """Return (N,) which newcomers have room: nobody is close, and who comes from behind can still stop.
+
+    Args:
+        new: (N, 2), (N,), (N,) centres, headings and speeds of those about to come in.
+        others: (O, 2), (O,), (O,) of who is there; NaN for who is not.
+    """
+    offset = new[0][:, None] - others[0]
+    apart = np.linalg.norm(offset, axis=-1)
+    follows = (offset * unit(others[1])).sum(axis=-1) > 0.0
+    follows &= np.cos(new[1][:, None] - others[1]) > _SAME_WAY
+    closing = np.maximum(others[2] - new[2][:, None], 0.0) * follows
+    near = (
+        apart < _APART_M + closing + 0.5 * closing**2 / _STOPS_MPS2
+    )  # a second to react; NaN compares as False
+    return np.asarray(~near.any(axis=1))

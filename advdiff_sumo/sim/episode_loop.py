@@ -16,6 +16,7 @@ from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Background, MovedMotion, planned_ends
+from advdiff_sumo.sim.entries import have_room
 from advdiff_sumo.sim.episode_context import EpisodeContext
 from advdiff_sumo.sim.episode_setup import EpisodeSetup
 from advdiff_sumo.sim.handover import Handover
@@ -154,7 +155,7 @@ class Loop:
 
     def _plan_background(self, scene: Scene, period: int) -> MovedMotion:
         planned = self.background.replan(scene, period)
-        planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)))
+        planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)) & self._have_room(planned))
         self.handover.note_routes(self.background.routes)
         logged = self.context.motion(scene, period)
         self.replayed = np.setdiff1d(logged.rows, planned.rows)
@@ -166,6 +167,23 @@ class Loop:
         self.handover.predict(planned_ends(motion), routes)
         self._let_in(motion)
         return motion
+
+    def _have_room(self, motion: MovedMotion) -> BoolArray:
+        """Return (M,) who of *motion* is there already, or comes in where the policy sees, or where there is room."""
+        world = self.world
+        out: BoolArray = np.isfinite(world.yaw_rad[motion.rows]) | ~motion.valid.any(axis=1)
+        logged = self.background.planned is not None and self.background.planned.exact
+        if self.everywhere or logged or out.all():
+            return out
+        new = motion.keep(~out)
+        k = new.valid.argmax(axis=1)
+        each = np.arange(len(k))
+        pose = new.xy_m[each, k], new.yaw_rad[each, k], new.speed_mps[each, k]
+        seen = np.linalg.norm(pose[0] - world.xy_m[self.target], axis=-1) <= self.sim.observe_radius_m
+        count = len(world)
+        there = world.xy_m[:count], world.yaw_rad[:count], world.speed_mps[:count]
+        out[~out] = seen | have_room(pose, there)
+        return out
 
     def _leave_scene(self, rows: set[int]) -> None:
         """Take *rows* off the scene: those that SUMO refused, once nobody moves them any more."""

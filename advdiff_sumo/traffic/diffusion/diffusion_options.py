@@ -29,6 +29,7 @@ Attack: TypeAlias = Literal[
     "blocked-lane",
     "stop-and-go",
     "cut-out",
+    "queue",
 ]
 LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "any": ("any", "any"),
@@ -40,6 +41,7 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "blocked-lane": ("blocked-lane", "brake"),
     "stop-and-go": ("stop-and-go", "brake"),
     "cut-out": ("cut-out", "any"),
+    "queue": ("queue", "any"),
 }
 """Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
 RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")

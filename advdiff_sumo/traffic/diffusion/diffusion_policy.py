@@ -22,6 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import PAUSE_S, situation_of
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 from advdiff_sumo.traffic.planning.drawn import Drawn
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ class DiffusionTraffic:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
         kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
-            return JointPlan(kept), replace(memory, driven=driven_of(memory.plan, scene))
+            plan = _with_standing(JointPlan(kept), memory.commitments, scene)
+            return plan, replace(memory, driven=driven_of(memory.plan, scene))
         return self._afresh(road, scene, memory, rng)
 
     def _afresh(
@@ -127,7 +129,7 @@ class DiffusionTraffic:
         attack = plan.attack
         state = self._state(plan.attackers, attack.commitments)
         memory = DiffusionMemory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
-        joint = plan_with(plan.tracks, attack.newcomers, state)
+        joint = _with_standing(plan_with(plan.tracks, attack.newcomers, state), attack.commitments, scene)
         return replace(joint, safeguarded=plan.safeguarded), memory
 
     def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
@@ -149,7 +151,12 @@ class DiffusionTraffic:
             _, kept = advance(situation, kept, self.options.attackers, PAUSE_S, licence)
             newcomers, kept = let_in(situation, kept)
         plan = plan_with(nobody(view.scene), newcomers, self._state((), None))
-        return plan, replace(memory, plan=None, commitments=kept)
+        return _with_standing(plan, kept, view.scene), replace(memory, plan=None, commitments=kept)
+
+
+def _with_standing(plan: JointPlan, kept: Commitments | None, scene: Scene) -> JointPlan:
+    """Return *plan* with who stands for an encounter."""
+    return plan if kept is None else with_standing(plan, kept.standing, scene.time_s)
 
 
 class Traj2Traj(DiffusionTraffic):

@@ -11,12 +11,15 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, goes_first
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import AHEAD_M, begins, can_hide
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, can_queue
 
 TURN_S = 7.0
 """For so long an episode is for one kind."""
 TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
 """Kinds that have turns; a cut-out at the first instant alone."""
-_CROSSING_FIRST, _CUT_OUT_FIRST = 0.5, 0.4
+_CROSSING_FIRST, _CUT_OUT_FIRST, _QUEUE_FIRST = 0.5, 0.4, 0.2
+_AT_FIRST = ("cut-out", QUEUE)
+"""Kinds that have a turn at the beginning alone."""
 _LATER = ("cut-in", "hard-stop")
 _FORESEES_S = 8.0
 
@@ -40,14 +43,14 @@ class Agenda:
         """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
 
         A cut-in comes before a hard stop: a leader that came in for one leaves no room for the other. In two of five a
-        cut-out precedes all, which is possible at the first instant alone.
+        cut-out precedes all, which is possible at the first instant alone; in one of five the end of a queue does where
+        no cut-out is possible.
         """
         crossing_first = rng.random() < _CROSSING_FIRST
         order = ("crossing", "cut-in", "hard-stop") if crossing_first else ("cut-in", "crossing", "hard-stop")
-        hides = (
-            rng.spawn(1)[0].random() < _CUT_OUT_FIRST
-        )  # without a draw, which would change all that is drawn after
-        return Agenda(("cut-out", *order) if hides else order)
+        drawn = rng.spawn(1)[0].random()  # without a draw, which would change all that is drawn after
+        first = ("cut-out", QUEUE) if drawn < _QUEUE_FIRST else ("cut-out",) if drawn < _CUT_OUT_FIRST else ()
+        return Agenda((*first, *order))
 
     @property
     def crosses_first(self) -> bool:
@@ -69,7 +72,7 @@ class Agenda:
             return replace(self, order=first, since_s=now)
         if now - self.since_s < TURN_S and is_possible(view, order[0]):
             return self
-        if order[0] == "cut-out":
+        if order[0] in _AT_FIRST:
             return replace(self, order=order[1:], since_s=now).at(view)
         if order[0] == "crossing" and is_possible(view, "crossing"):
             return self  # a junction takes as long as it takes to get there
@@ -83,8 +86,8 @@ def is_possible(view: SituationView, kind: str) -> bool:
     target = view.target
     if target is None or kind == "hard-stop":
         return True
-    if kind == "cut-out":
-        return not begins(view) or can_hide(view)
+    if kind in _AT_FIRST:
+        return not begins(view) or (can_hide(view) if kind == "cut-out" else can_queue(view))
     if kind == "cut-in":
         beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
         return beside and view.is_first(AHEAD_M)

@@ -33,6 +33,7 @@ def begin(
     """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
+    busy |= {r for r in view.movable if names[r] in kept.standing.names}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     wanted = kept.wanted(view)
     possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]

@@ -17,10 +17,9 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic
 
-STANDS = "stands"
-"""What somebody does who has come in to stand: a vehicle that has broken down."""
-SUPPORTS = (STANDS, FOLLOWS, WAITS)
+SUPPORTS = (FOLLOWS, WAITS)
 """Kinds that attack nobody."""
 KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
 """Kinds of a leader, who keeps the target from where others would cross it."""
@@ -69,6 +68,7 @@ class Commitments:
         since_s: id → since when it has been near the target.
         blocked_s: id → since when the target's box has been on its way, where SUMO does not see it.
         preference: of encounters in which the target is predicted to fail; None: nothing is known.
+        standing: who stands ahead for an encounter.
     """
 
     weights: Mapping[str, float]
@@ -80,6 +80,7 @@ class Commitments:
     since_s: Mapping[str, float] = field(default_factory=dict)
     blocked_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
+    standing: StandingTraffic = field(default_factory=StandingTraffic)
 
     def wanted(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
@@ -87,8 +88,10 @@ class Commitments:
         Nobody crosses before a red light out of turn, nor leads a target to where it has to yield.
         """
         turn = self.agenda.now
+        if self.standing.is_queue:
+            return ()
         if not turn:
-            return tuple(self.weights)
+            return tuple(kind for kind in self.weights if kind != QUEUE)
         kinds = self.staged(view) if view.scene.time_s < PATIENT_S else tuple(self.weights)
         off = KEEP_OFF if self.agenda.crosses_first and comes_to_yield(view) else frozenset[str]()
         red = {"crossing"} if turn != "crossing" and waits_at_red(view) else set[str]()
@@ -100,6 +103,8 @@ class Commitments:
         That is the kind whose turn it is and crossing, which waits for no turn unless it promises too little.
         """
         turn = self.agenda.now
+        if self.standing.is_queue:
+            return ()
         if not turn:
             return tuple(self.weights)
         crosses = self.agenda.crosses_any_time and not waits_at_red(view)
@@ -108,21 +113,22 @@ class Commitments:
     @property
     def attacking(self) -> tuple[str, ...]:
         """Ids of those in a manoeuvre that are past getting into position for it."""
-        return tuple(
+        driving = (
             name
             for name, under_way in self.active.items()
             if not under_way.sets_up and under_way.kind not in SUPPORTS
         )
+        return (*driving, *(self.standing.names if self.standing.is_queue else ()))
 
     @property
     def manoeuvres(self) -> Mapping[str, str]:
-        """Id → the kind of manoeuvre that it drives; who stands is part of a cut-out, who follows does nothing."""
+        """Id → the kind of manoeuvre that it drives; who follows does nothing."""
         kinds = {
             name: under_way.kind
             for name, under_way in self.active.items()
             if not under_way.sets_up and under_way.kind != FOLLOWS
         }
-        return {name: "cut-out" if kind == STANDS else kind for name, kind in kinds.items()}
+        return {**kinds, **dict.fromkeys(self.standing.names, self.standing.kind)}
 
     @staticmethod
     def start(
@@ -147,7 +153,9 @@ class Commitments:
         oncoming = bool(rng.random() < 0.5)
         stage = StagingMemory(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
-        if preference is not None and attack != "any":
+        if preference is not None and attack == QUEUE:
+            preference = None  # nothing is predicted of it
+        elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(attack,))
         elif preference is not None:
             wanted, preference = preference.drawn(

@@ -13,7 +13,7 @@ from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.choice import rank
-from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, STANDS, SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
@@ -28,7 +28,7 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-_LONGEST_S: Mapping[str, float] = {STANDS: 60.0, "blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
+_LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
 _ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 _OVER_LINE_M, _IN_WAY_M = 0.2, 1.2
@@ -44,7 +44,7 @@ def carry_on(
     for name, under_way in kept.active.items():
         row = index.get(name)
         manoeuvre = _continued(view, row, under_way, kept.intensity, licence) if row in view.movable else None
-        if manoeuvre is not None and (manoeuvre.kind == STANDS or still_lawful(view, manoeuvre, licence)):
+        if manoeuvre is not None and still_lawful(view, manoeuvre, licence):
             going.append(manoeuvre)
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
             continue

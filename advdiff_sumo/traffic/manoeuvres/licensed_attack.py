@@ -99,6 +99,12 @@ def licensed_attack(
             if manoeuvre.kind != WAITS:  # the safeguard sees boxes
                 driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
+        places = {name: k for k, name in enumerate(view.ids) if view.moved[k]}
+        driven |= {
+            places[name]: motion
+            for name, motion in kept.standing.motions(view.scene.time_s)
+            if name in places
+        }
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
     refused = _refused(situation, view, futures, guided, licence) | _set_off(view, kept, driven)
     lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()

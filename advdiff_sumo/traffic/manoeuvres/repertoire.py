@@ -266,6 +266,6 @@ def _stands_before(view: SituationView, row: int) -> tuple[int, float] | None:
     places = ((other, *view.place_on(view.ways[row], other)) for other in view.ways if other != row)
     ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < IN_LANE_M]
     distance, other = min(ahead, default=(np.inf, row))
-    if distance > AHEAD_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
+    if distance > LEADS_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
         return None
     return other, view.gap_m(distance, row, other)

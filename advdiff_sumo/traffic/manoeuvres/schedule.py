@@ -7,14 +7,14 @@ from dataclasses import replace
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import comes_to_yield, is_possible
 from advdiff_sumo.traffic.manoeuvres.beginning import begin, behind_target
-from advdiff_sumo.traffic.manoeuvres.commitments import STANDS, SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import SUPPORTS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, queue_comes
 
 
 def advance(
@@ -46,7 +46,11 @@ def advance(
 
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
-    """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them."""
+    """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them.
+
+    Who stands is among what is remembered alone.
+    """
+    kept = replace(kept, standing=kept.standing.at(view))
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     kinds = [kind for kind in kept.staged(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
@@ -54,11 +58,15 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
         kinds = [
             kind for kind in kinds if kind == "crossing"
         ]  # a leader would keep the target from the junction
+    if QUEUE in kinds:
+        standing, stage = queue_comes(view, kept.stage, kept.standing)
+        kept = replace(kept, standing=standing, stage=stage)
+        kinds = [] if standing.is_queue else kinds
     newcomers, stage = come_in(view, kept.stage, kinds)
-    now = view.scene.time_s
-    still = Commitment(STANDS, SpeedProfile(then_mps2=-1.0), now, now, sets_up=False)
-    standing = {one.name: still for one in newcomers if one.speed_mps == 0.0}
-    return newcomers, replace(kept, stage=stage, active={**kept.active, **standing})
+    hidden = tuple(one for one in newcomers if one.speed_mps == 0.0)
+    if hidden:
+        kept = replace(kept, standing=StandingTraffic("cut-out", hidden, view.scene.time_s))
+    return tuple(one for one in newcomers if one not in hidden), replace(kept, stage=stage)
 
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:

@@ -17,7 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS
-from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
+from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
@@ -25,6 +25,7 @@ NEAR_M = 70.0
 _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
+_BEYOND_M = 40.0
 _PAST = 3  # places that tell how fast somebody moves sideways
 
 
@@ -175,6 +176,12 @@ class SituationView:
         xy_m, yaw_rad = pose
         ahead = lanes_ahead(self.road, xy_m[None], np.array([float(yaw_rad)]), [route])[0]
         return None if ahead is None else Way(replace(ahead, offset_m=0.0))
+
+    def far(self, way: Way, reach_m: float) -> Way:
+        """Return the target's *way*, or one beside it, as far as *reach_m* ahead and some more."""
+        lane, route = way.lane, self.scene.routes[self.scene.target]
+        reach_m += _BEYOND_M
+        return Way(lane_ahead(self.road.lanes, lane.lanes[0], lane.s_m, 0.0, route, reach_m))
 
     def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed.

@@ -37,9 +37,10 @@ _LEAST_AHEAD_M, _SPARE_M, _NEARLY_M = 22.0, 3.0, 10.0
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
+_BEYOND_M = 40.0
 _MEETS_S, _CLEAR_M = 4.0, 3.0
-_LEAST_HIDES_M, _STANDS_AT_MOST_M = 18.5, 64.0
-_HIDDEN_S, _LEAST_HIDDEN_S = 5.0, 4.2
+_LEAST_HIDES_M, _FASTEST_HIDING_MPS = 18.5, 17.0
+_HIDDEN_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -128,19 +129,27 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
         return JointPlan(tracks, attack=attack)
     driven = PLAN_DT_S * np.arange(1.0, PLAN_STEPS + 1.0)
     poses = [one.way.poses(one.speed_mps * driven, driven) for one in newcomers]
-    more = Tracks(
+    more = tracks_of_newcomers(newcomers, poses, tracks.t0_s)
+    joined = tracks.joined(more) if tracks.agents else more
+    return JointPlan(joined, attack=attack, routes={one.name: one.route for one in newcomers})
+
+
+def tracks_of_newcomers(
+    newcomers: Sequence[Newcomer], poses: Sequence[tuple[FloatArray, FloatArray]], t0_s: float
+) -> Tracks:
+    """Return *newcomers* at centres (T, 2) and headings (T,) each from *t0_s* on, each at its speed."""
+    yaw = np.stack([angles for _, angles in poses])
+    return Tracks(
         ids=tuple(one.name for one in newcomers),
         classes=np.array([int(one.agent_class) for one in newcomers]),
         size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
         xy_m=np.stack([xy for xy, _ in poses]),
-        yaw_rad=np.stack([yaw for _, yaw in poses]),
-        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], PLAN_STEPS, axis=1),
-        valid=np.ones((len(newcomers), PLAN_STEPS), dtype=np.bool_),
-        t0_s=tracks.t0_s,
+        yaw_rad=yaw,
+        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], yaw.shape[1], axis=1),
+        valid=np.ones(yaw.shape, dtype=np.bool_),
+        t0_s=t0_s,
         dt_s=PLAN_DT_S,
     )
-    joined = tracks.joined(more) if tracks.agents else more
-    return JointPlan(joined, attack=attack, routes={one.name: one.route for one in newcomers})
 
 
 def begins(view: SituationView) -> bool:
@@ -200,21 +209,22 @@ def _hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
     if not any(way is not None and not view.anybody_on(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
         return ()
     speed = target.speed_mps
-    leads_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
-    stands_m = min(leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0], _STANDS_AT_MOST_M)
-    if speed < SLOWEST_TARGET_MPS or stands_m - leads_m < _LEAST_HIDDEN_S * speed + SIZE_M[AgentClass.CAR][0]:
+    if not SLOWEST_TARGET_MPS <= speed <= _FASTEST_HIDING_MPS:
         return ()
-    leader = _on_way(view, target.way, leads_m, speed, AgentClass.CAR)
-    standing = _on_way(view, target.way, stands_m, 0.0, stage.agent_class)
-    both = [*leader, *standing]
-    return both if len(both) == 2 and all(_is_free(view, one, ()) for one in both) else ()
+    leads_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _LEAST_HIDES_M)
+    stands_m = leads_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0]
+    leader = [
+        one for one in _on_way(view, target.way, leads_m, speed, AgentClass.CAR) if _is_free(view, one, ())
+    ]
+    standing = list(_on_way(view, view.far(target.way, stands_m), stands_m, 0.0, stage.agent_class))
+    return [*leader, *standing] if leader and standing and _meets_nobody(view, standing[0]) else ()
 
 
 def _on_way(
     view: SituationView, way: Way, ahead_m: float, speed_mps: float, agent_class: AgentClass
 ) -> Iterator[Newcomer]:
     """Somebody *ahead_m* further along *way*, on no junction, before no red light and not at the road's end."""
-    if ahead_m + 40.0 > way.lane.end_m:
+    if ahead_m + _BEYOND_M > way.lane.end_m:
         return
     if any(reach < ahead_m + 10.0 and view.signal(link) in _NO_PLACE_BEFORE for reach, link in way.links):
         return

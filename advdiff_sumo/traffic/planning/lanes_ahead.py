@@ -58,12 +58,17 @@ def lanes_ahead(
 
 
 def lane_ahead(
-    lanes: Mapping[str, Lane], lane: Lane, s_m: float, offset_m: float, route: Sequence[str] = ()
+    lanes: Mapping[str, Lane],
+    lane: Lane,
+    s_m: float,
+    offset_m: float,
+    route: Sequence[str] = (),
+    horizon_m: float = HORIZON_M,
 ) -> LaneAhead:
-    """Return what lies ahead at *s_m* along *lane*, *offset_m* to its left, for who drives *route*."""
+    """Return what lies ahead at *s_m* along *lane*, *offset_m* to its left, for who drives *route*, to *horizon_m*."""
     driven, stops, reach = [lane], [], lane.length_m - s_m
     end = np.inf
-    while reach < HORIZON_M and len(driven) < 40:
+    while reach < horizon_m and len(driven) < 40:
         link = _onward(driven[-1], route)
         if link is None:
             end = reach

@@ -28,11 +28,14 @@ from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED, plan_with
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
-Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", "crossing", "blocked-lane", "stop-and-go", "cut-out"]
+Kind: TypeAlias = Literal[
+    "any", "hard-stop", "cut-in", "crossing", "blocked-lane", "stop-and-go", "cut-out", "queue"
+]
 
 
 class ScriptedOptions(Options):
@@ -101,7 +104,8 @@ class ScriptedTraffic:
         driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
         state = AttackState(options.attack, memory.attacking, memory.manoeuvres)
         newcomers, memory = let_in(view, memory)
-        return plan_with(tracks_of_manoeuvres(view, driven), newcomers, state), memory
+        plan = plan_with(tracks_of_manoeuvres(view, driven), newcomers, state)
+        return with_standing(plan, memory.standing, scene.time_s), memory
 
 
 def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -> Tracks:

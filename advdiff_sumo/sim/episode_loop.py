@@ -171,10 +171,10 @@ class Loop:
     def _have_room(self, motion: MovedMotion) -> BoolArray:
         """Return (M,) who of *motion* is there already, or comes in where the policy sees, or where there is room."""
         world = self.world
-        out: BoolArray = np.isfinite(world.yaw_rad[motion.rows]) | ~motion.valid.any(axis=1)
         logged = self.background.planned is not None and self.background.planned.exact
-        if self.everywhere or logged or out.all():
-            return out
+        out = np.isfinite(world.yaw_rad[motion.rows]) | ~motion.valid.any(axis=1) | self.everywhere | logged
+        if out.all():
+            return np.asarray(out)
         new = motion.keep(~out)
         k = new.valid.argmax(axis=1)
         each = np.arange(len(k))
@@ -183,7 +183,7 @@ class Loop:
         count = len(world)
         there = world.xy_m[:count], world.yaw_rad[:count], world.speed_mps[:count]
         out[~out] = seen | have_room(pose, there)
-        return out
+        return np.asarray(out)
 
     def _leave_scene(self, rows: set[int]) -> None:
         """Take *rows* off the scene: those that SUMO refused, once nobody moves them any more."""

@@ -11,7 +11,7 @@ from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.sim.entries import completed, presence
+from advdiff_sumo.sim.entries import completed, have_room, presence
 from advdiff_sumo.sim.seed_scene import SeedScene
 from tests.sim.scenes import episode
 
@@ -68,6 +68,27 @@ def test_presence_by_the_step() -> None:
     assert presence(first, there, 0.25, 4).tolist() == [[True, True, False, False]]
 
 
+@pytest.mark.parametrize(
+    ("behind_m", "heading_rad", "speed_mps", "room"),
+    [
+        (9.9, 0.0, 0.0, False),
+        (10.1, 0.0, 0.0, True),
+        (79.9, 0.0, 20.0, False),  # 10 m, a second and 20² / (2 · 4) m
+        (80.1, 0.0, 20.0, True),
+        (-12.0, 0.0, 20.0, True),  # it is past
+        (12.0, np.pi, 20.0, True),  # and this one goes the other way
+        (np.nan, np.nan, np.nan, True),
+    ],
+)
+def test_who_comes_in_leaves_others_room_to_stop(
+    behind_m: float, heading_rad: float, speed_mps: float, room: bool
+) -> None:
+    """Somebody comes in to stand at the origin, facing east."""
+    new = np.zeros((1, 2)), np.zeros(1), np.zeros(1)
+    other = np.array([[-behind_m, 0.0]]), np.array([heading_rad]), np.array([speed_mps])
+    assert have_room(new, other).tolist() == [room]
+
+
 class Arrival:
     """A vehicle comes in at the first plan, 40 m ahead of the target on the line of its heading, and leaves at 2 s."""
 
@@ -118,3 +139,29 @@ def test_a_policy_brings_a_vehicle_in_and_takes_it_away(scene: SeedScene, road: 
     assert np.isfinite(record.tracks.xy_m[row, there]).all()
     assert record.tracks.speed_mps[row, there] == pytest.approx(5.0, abs=0.3)
     assert record.refused_insertions == 0
+
+
+class OutOfSight(Arrival):
+    """A vehicle that comes in where another one is, ``ahead_m`` further on than the target."""
+
+    def __init__(self, ahead_m: float) -> None:
+        super().__init__(exact=False)
+        self.ahead_m = ahead_m
+
+    def start(
+        self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator
+    ) -> tuple[np.ndarray, float]:
+        """Return the place of who is nearest to ``ahead_m`` from the target."""
+        assert log is not None
+        now = log.xy_m[:, 0]
+        apart = np.linalg.norm(now - now[log.index[scene.target_id]], axis=-1)
+        row = int(np.nanargmin(np.abs(apart - self.ahead_m)))
+        return now[row], float(log.yaw_rad[row, 0])
+
+
+def test_nobody_comes_in_out_of_sight_upon_somebody_else(scene: SeedScene, road: RoadMap) -> None:
+    """The policy sees 20 m, so that its vehicle 60 m away is left out, and the episode goes on."""
+    made = episode(scene, road, background=OutOfSight(60.0), horizon_s=2.0, observe_radius_m=20.0)
+    record, _ = made.run()
+    assert record.failure is None
+    assert "newcomer" not in record.tracks.index

@@ -133,25 +133,27 @@ def _places(view: SituationView) -> list[Newcomer]:
     if target is None or target.speed_mps < _SLOWEST_TARGET_MPS or not view.is_first(NEAR_M):
         return []
     crawls = max(target.speed_mps - _FASTEST_CLOSING_MPS, 0.0)
-    closing = target.speed_mps - crawls
-    ahead = closing * (ORDINARY_S + REACTION_S) + 0.5 * closing**2 / _STOPS_MPS2 + _LENGTHS_M
-    ahead = max(ahead, _OUT_OF_SIGHT_M)
-    drives = crawls * _LASTS_S
+    ahead, drives = _ahead_m(target.speed_mps - crawls), crawls * _LASTS_S
     way = view.far(target.way, ahead + drives)
-    if way.lane.end_m < ahead + drives:
-        return []
-    if any(reach < ahead + _ROOM_M and (link.yields or link.tls_id is not None) for reach, link in way.links):
-        return []
+    waits = any(
+        reach < ahead + _ROOM_M and (link.yields or link.tls_id is not None) for reach, link in way.links
+    )
     there, s = _lane_at(way, way.lane.s_m + ahead)
-    if there.is_internal:
+    if waits or way.lane.end_m < ahead + drives or there.is_internal:
         return []
     edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
     out = []
-    for k, beside in enumerate(_abreast(view, there)):
-        on = lane_ahead(view.road.lanes, beside, min(s + k * _STAGGER_M, beside.length_m), 0.0, edges, drives)
+    for k, lane in enumerate(_abreast(view, there)):
+        on = lane_ahead(view.road.lanes, lane, min(s + k * _STAGGER_M, lane.length_m), 0.0, edges, drives)
         if k == 0 or on.end_m > drives:
-            out.append(Newcomer(Way(on), min(crawls, beside.speed_mps)))
+            out.append(Newcomer(Way(on), min(crawls, lane.speed_mps)))
     return out
+
+
+def _ahead_m(closing_mps: float) -> float:
+    """Return how far ahead a queue ends: for 3 s it asks nothing, and a careful driver then brakes with 4 m/s²."""
+    ahead = closing_mps * (ORDINARY_S + REACTION_S) + 0.5 * closing_mps**2 / _STOPS_MPS2 + _LENGTHS_M
+    return max(ahead, _OUT_OF_SIGHT_M)
 
 
 def _lane_at(way: Way, s_m: float) -> tuple[Lane, float]:

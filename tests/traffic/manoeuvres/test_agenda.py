@@ -49,10 +49,12 @@ def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
 
 def test_every_order_holds_every_kind() -> None:
     drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
-    assert {tuple(sorted({*order} - {"cut-out"})) for order in drawn} == {tuple(sorted(ORDER))}
+    assert {tuple(sorted({*order} - {"cut-out", "queue"})) for order in drawn} == {tuple(sorted(ORDER))}
     assert {order[0] for order in drawn} == {"crossing", "cut-in", "cut-out"}
     assert {order[-1] for order in drawn} == {"hard-stop"}
     assert {order.index("cut-out") for order in drawn if "cut-out" in order} == {0}
+    assert {order.index("queue") for order in drawn if "queue" in order} == {1}
+    assert sum("queue" in order for order in drawn) < sum("cut-out" in order for order in drawn)
 
 
 def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> None:
@@ -66,6 +68,18 @@ def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> Non
     assert after.now == "cut-in"
     fast = view_of(motorway, target=(0, 50.0, 20.0))
     assert Agenda(("cut-out", *ORDER)).at(fast).now == "cut-in"
+
+
+def test_a_queue_has_its_turn_where_no_cut_out_is_possible(motorway: RoadMap) -> None:
+    """At 20 m/s and at the beginning alone; behind a leader there is room for neither."""
+    fast = view_of(motorway, target=(0, 50.0, 20.0))
+    begun = Agenda(("cut-out", "queue", *ORDER)).at(fast)
+    assert begun.now == "queue"
+    assert begun.at(later(fast, TURN_S)).order[0] == "cut-in"
+    slow = view_of(motorway, target=(0, 50.0, 9.0))
+    assert Agenda(("cut-out", "queue", *ORDER)).at(slow).now == "cut-out"
+    behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
+    assert Agenda(("cut-out", "queue", *ORDER)).at(behind).now == "hard-stop"
 
 
 def approach(road: RoadMap, to_line_m: float, speed_mps: float) -> SituationView:

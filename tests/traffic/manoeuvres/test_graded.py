@@ -98,11 +98,11 @@ SEED = 5
 @pytest.fixture(scope="module")
 def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
     folder = tmp_path_factory.mktemp("nets")
-    sign, two, town = crossing(folder, "priority"), two_lanes(folder, 20.0), two_lanes(folder, 9.0)
+    sign, two, town = crossing(folder, "priority"), two_lanes(folder, 20.0), two_lanes(folder, 13.0)
     north = ("south_in", "north_out")
     return {
         "crossing": Encounter(sign, Scripted(over(sign, *north), 205.0, 11.0), north, (), 12.0),
-        "cut-out": Encounter(town, Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0),
+        "cut-out": Encounter(town, Scripted(("WM_0", "ME_0"), 50.0, 12.7), ("WM", "ME"), (), 14.0),
         "cut-in": Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0),
     }
 
@@ -114,7 +114,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
         ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
         ("cut-in", "spare_gap_m", 0.0, 20.0, "late:1.5"),
-        ("cut-out", "reveals_s", 1.5, 2.5, "late:3.0"),
+        ("cut-out", "reveals_s", 1.5, 2.5, "weak-brakes:1"),
     ],
 )
 def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(

@@ -22,6 +22,8 @@ SHOWN_BY = [
     ("late", "beside", "hard-stop", SEED),
     ("blind-heavy", "beside", "hard-stop", SEED),
     ("blind-standing", "town", "cut-out", SEED),
+    ("blind-standing", "beside", "queue", SEED),
+    ("weak-brakes", "fast", "queue", SEED),
     ("blind-unprotected", "beside", "hard-stop", MOTORCYCLE_FIRST),
 ]
 
@@ -36,7 +38,9 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
     left = ("west_in", "north_out")
     beside = Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0)
     town = Encounter(two_lanes(folder, 9.0), Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0)
+    fast = Encounter(two_lanes(folder, 33.0), Scripted(("WM_0", "ME_0"), 50.0, 31.0), ("WM", "ME"), (), 20.0)
     return {
+        "fast": fast,
         "town": town,
         "give_way": Encounter(sign, from_south, north, (), 12.0),
         "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),

@@ -181,12 +181,12 @@ def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downto
 
 
 def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None:
-    """At 9 m/s: a leader 18.5 m ahead, 1.5 s, and at most 64 m ahead a car that stands."""
+    """At 9 m/s: a leader 18.5 m ahead, and 5 s and a lorry's length before that one a car that stands."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
     (leader, standing), stage = come_in(view, StagingMemory(most=3), ("cut-out",))
     assert view.target is not None
     along = view.target.way.line.project(np.array([leader.xy_m, standing.xy_m]))[0] - view.target.way.lane.s_m
-    assert along == pytest.approx([18.5, 64.0], abs=0.1)
+    assert along == pytest.approx([18.5, 18.5 + 45.0 + 9.0], abs=0.1)
     assert (leader.speed_mps, standing.speed_mps) == (9.0, 0.0)
     assert stage.count == 2
 
@@ -203,7 +203,7 @@ def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None
 def test_nobody_comes_in_to_stand(
     speed_mps: float, cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
 ) -> None:
-    """There is a leader; the next lane is taken; within 64 m nobody could go aside in time; two are needed."""
+    """There is a leader; the next lane is taken; the target would see nobody in time; two are needed."""
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
     assert come_in(view, stage, ("cut-out",))[0] == ()
 

@@ -63,10 +63,14 @@ class StandingTraffic:
         return self.kind == QUEUE and bool(self.members)
 
     def at(self, view: SituationView) -> StandingTraffic:
-        """Return what is left of it: it moves off once the target is past it or, at a queue, has closed up."""
+        """Return what is left of it: it moves off once the target is past it or, at a queue, has closed up.
+
+        Without its first member, on the target's lane, for whom there was no room, it is none.
+        """
         there = tuple(one for one in self.members if one.name in view.scene.history.index)
         lasts_s = view.scene.time_s - self.since_s
-        if not there or lasts_s >= _LAST_S[self.kind] or _is_over(view, there, self.kind):
+        begun = bool(there) and there[0] is self.members[0]
+        if not begun or lasts_s >= _LAST_S[self.kind] or _is_over(view, there, self.kind):
             return replace(self, members=())
         return replace(self, members=there)
 

@@ -1,0 +1,57 @@
+"""Who would move into the lane that the target has to change to: its route goes on from there, and not from its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay, needed_braking
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.ways import Way
+
+
+def joins_unanswerably(
+    view: SituationView, rows: Sequence[int], xy_m: FloatArray, yaw_rad: FloatArray
+) -> BoolArray:
+    """Return (R,) which plans come into the lane that the target has to change to and leave it no answer there.
+
+    The target is taken to change now, and to brake if need be. Who is on that lane, or on the target's, is left out.
+
+    Args:
+        view: the scene.
+        rows: (R,) of the vehicles.
+        xy_m: (R, T, 2) centres at ``CHECK_TIMES_S``.
+        yaw_rad: (R, T) headings.
+    """
+    out = np.zeros(len(rows), dtype=np.bool_)
+    joining = _joining(view)
+    if joining is None:
+        return out
+    theirs = {joining.way.present_lane.id, view.ways[view.scene.target].present_lane.id}
+    away = [k for k, r in enumerate(rows) if r not in view.ways or view.ways[r].present_lane.id not in theirs]
+    sizes = view.scene.history.size_m[[rows[k] for k in away]]
+    needed = needed_braking(joining, xy_m[away], yaw_rad[away], sizes, np.zeros(len(away)))
+    out[away] = needed > BRAKING_MPS2[-1]
+    return out
+
+
+def _joining(view: SituationView) -> TargetWay | None:
+    """Return the target on its change to the lane beside it that its route goes on from; None where it needs none."""
+    target, row = view.target, view.scene.target
+    if target is None or _keeps_route(view, target.way):
+        return None
+    for side in ("left", "right"):
+        way = view.neighbour(row, side)
+        if way is not None and _keeps_route(view, way):
+            left = view.place_on(way, row)[1]
+            return replace(target, way=Way(replace(way.lane, offset_m=left), target.way.drift_mps))
+    return None
+
+
+def _keeps_route(view: SituationView, way: Way) -> bool:
+    """Return whether *way* neither ends nor leaves the target's route, as far as it is known."""
+    route, lanes = view.scene.routes[view.scene.target], way.lane.lanes
+    return way.lane.end_m == np.inf and all(x.is_internal or not route or x.edge_id in route for x in lanes)

@@ -1,0 +1,73 @@
+"""Three lanes, the outermost of which leaves: who has to change from it is left room on the lane that goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
+from advdiff_sumo.models.view import look
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
+from advdiff_sumo.traffic.planning.futures import Futures
+from tests.sim import nets
+from tests.traffic.manoeuvres.scenes import scene_on
+
+EDGES = """<edges>
+<edge id="WM" from="W" to="M" numLanes="3" speed="25"/><edge id="ME" from="M" to="E" numLanes="2" speed="25"/>
+<edge id="MR" from="M" to="R" speed="20"/>
+</edges>"""
+THROUGH, OFF = ("WM", "ME"), ("WM", "MR")
+TARGET_MPS, OTHER_MPS = 20.0, 12.0
+
+
+@pytest.fixture(scope="module")
+def roads(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, RoadMap]:
+    """Return the net where one drives on the right (False) and its mirror image (True)."""
+    return {left: _road(tmp_path_factory.mktemp("exit"), left) for left in (False, True)}
+
+
+def _road(folder: Path, left: bool) -> RoadMap:
+    south = 80 if left else -80
+    places = {"W": (0, 0), "M": (200, 0), "E": (400, 0), "R": (380, south)}
+    nodes = "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in places.items())
+    return RoadMap.read(nets.build(folder, f"<nodes>{nodes}</nodes>", EDGES, lefthand=left))
+
+
+def refused(
+    road: RoadMap, route: tuple[str, ...], lane: int, ahead_m: float, sideways_m: float
+) -> tuple[int, ...]:
+    """Return who is refused: the other, *ahead_m* of a target on the outermost lane, moves *sideways_m* in 2.5 s."""
+    at = {"target": (0, 110.0, TARGET_MPS), "other": (lane, 110.0 + ahead_m, OTHER_MPS)}
+    scene = scene_on({name: (road.lanes[f"WM_{k}"], s, v) for name, (k, s, v) in at.items()})
+    scene = replace(scene, routes=(route, THROUGH))
+    view = look(road, scene, np.zeros(2, dtype=np.bool_))
+    time_s = MODEL_STEP_S * np.arange(FUTURE_STEPS + 1)
+    xy = scene.history.xy_m[:, -1:] + scene.history.speed_mps[:, -1, None, None] * time_s[:, None] * (
+        1.0,
+        0.0,
+    )
+    xy[1, :, 1] += sideways_m * np.minimum(time_s / 2.5, 1.0)
+    yaw, speed = np.zeros((2, len(time_s))), np.repeat(scene.history.speed_mps[:, -1:], len(time_s), axis=1)
+    plans = Futures(xy, yaw, speed, scene.history.size_m, MODEL_STEP_S)
+    return licensed_attack(road, view, plans, ("other",), "lawful", None, 2).refused
+
+
+@pytest.mark.parametrize("left", [False, True])
+def test_who_cuts_off_a_target_that_has_to_change_lanes_is_refused(
+    roads: dict[bool, RoadMap], left: bool
+) -> None:
+    """8 m ahead, 8 m/s slower, and into the same lane: after 0.75 s a target on it would be 2 m behind."""
+    moves = 3.2 if left else -3.2
+    assert refused(roads[left], THROUGH, 2, 12.5, moves) == (1,)
+    assert refused(roads[left], OFF, 2, 12.5, moves) == ()  # stays on its lane
+
+
+@pytest.mark.parametrize(("lane", "ahead_m", "sideways_m"), [(2, 60.0, -3.2), (2, 12.5, 0.0), (1, 12.5, 0.0)])
+def test_who_leaves_room_keeps_its_lane_or_was_there_first_is_not(
+    roads: dict[bool, RoadMap], lane: int, ahead_m: float, sideways_m: float
+) -> None:
+    assert refused(roads[False], THROUGH, lane, ahead_m, sideways_m) == ()

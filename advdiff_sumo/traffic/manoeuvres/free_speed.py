@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -32,15 +33,16 @@ def speeds_along(way: Way, speed_mps: float) -> FloatArray:
     begins, ends, bends = _bends(way)
     highest = np.minimum([lane.speed_mps for lane in way.lane.lanes], bends)
     highest[0] = max(float(highest[0]), speed_mps)
+    parts = list(zip(begins.tolist(), ends.tolist(), (highest**2).tolist(), strict=True))
     speed = np.empty(len(FINE_TIMES_S))
-    speed[0], driven = speed_mps, 0.0
-    for k in range(1, len(speed)):
-        before = float(speed[k - 1])
-        free = highest**2 + 2.0 * _SLOWS_MPS2 * np.maximum(begins - driven, 0.0)
-        bound = float(np.sqrt(np.where(driven < ends, free, np.inf).min(initial=np.inf)))
-        wish = min(before + PICKS_UP_MPS2 * FINE_DT_S, bound)
-        speed[k] = max(wish, before - _SLOWS_AT_MOST_MPS2 * FINE_DT_S, 0.0)
-        driven += 0.5 * (before + float(speed[k])) * FINE_DT_S
+    speed[0] = before = speed_mps
+    driven = 0.0
+    for k in range(1, len(speed)):  # plain numbers: there are few lanes, and this is asked in every plan
+        free = [at + 2.0 * _SLOWS_MPS2 * max(begin - driven, 0.0) for begin, end, at in parts if driven < end]
+        wish = min(before + PICKS_UP_MPS2 * FINE_DT_S, math.sqrt(min(free, default=np.inf)))
+        after = max(wish, before - _SLOWS_AT_MOST_MPS2 * FINE_DT_S, 0.0)
+        driven += 0.5 * (before + after) * FINE_DT_S
+        speed[k] = before = after
     return speed
 
 

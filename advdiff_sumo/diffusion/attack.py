@@ -89,10 +89,11 @@ def attack_losses(kind: str, scene: AttackScene, compiled: bool = True) -> Calla
     rows, whole = scene.rows, scene.context.prior
     cost_of = _costs_of(kind, Placed.of(scene.batch, rows, scene.natural.rollout), compiled)
     prior = Gaussian(whole.mean[:, rows], whole.logvar[:, rows])
+    repeated = cache(scene.batch.repeat)
 
     def value(latents: Tensor) -> Tensor:
         z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
-        return cost_of(_futures(scene, z)) + PRIOR_WEIGHT * surprise(prior, z)
+        return cost_of(_futures(scene, z, repeated)) + PRIOR_WEIGHT * surprise(prior, z)
 
     return value
 
@@ -128,10 +129,13 @@ def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
     return aim + OTHERS_WEIGHT * met.overlap + ROAD_WEIGHT * met.off
 
 
-def _futures(scene: AttackScene, z: Tensor) -> Rollout:
-    """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones."""
+def _futures(scene: AttackScene, z: Tensor, repeated: Callable[[int], SceneBatch]) -> Rollout:
+    """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones.
+
+    *repeated* gives the batch so many times, the same object for the same number.
+    """
     count, natural = len(z), scene.natural
-    batch = scene.batch if count == 1 else scene.batch.repeat(count)
+    batch = scene.batch if count == 1 else repeated(count)
     h, trace = scene.context.h.expand(count, -1, -1), natural.trace.repeat(count)
     return scene.decoder.some(z, h, batch, scene.rows, natural.steps, trace)
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from advdiff_sumo.diffusion.exported_step import exported_step
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
-from advdiff_sumo.models.decoder import Decoder, Forced, Rollout, Trace
+from advdiff_sumo.models.decoder import Decoder, Forced, Rollout, Surroundings, Trace
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 
 
@@ -32,6 +32,7 @@ class FastDecoder:
         self.closed_loop = isinstance(decoder, ClosedLoopDecoder)
         self.network, self.compiled = decoder, compiled
         self._step = exported_step(decoder) if compiled else None
+        self._around: list[tuple[SceneBatch, Tensor | None, Surroundings]] = []
 
     def __call__(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, forced: Forced | None = None
@@ -44,7 +45,7 @@ class FastDecoder:
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
     ) -> tuple[Rollout, Trace]:
         """Return the futures of all agents for latents *z* (B, A, Z), without gradients, and their trace."""
-        return self.network.roll(z, h, self.network.surroundings(batch), steps, by=self._step)
+        return self.network.roll(z, h, self._surroundings(batch), steps, by=self._step)
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
@@ -55,5 +56,14 @@ class FastDecoder:
         latents of the trace, and its gradient lacks what a changed place would change in the interaction. Gradients
         flow to *z* (B, R, Z), the latents of the rows; *h* (B, A, D) are the embeddings of all.
         """
-        around = self.network.surroundings(batch, rows)
+        around = self._surroundings(batch, rows)
         return self.network.roll(z, h[:, rows], around, steps, None, trace, self._step)[0]
+
+    def _surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
+        """Return the surroundings of *rows* (None: all) of *batch*; a plan needs those of all and of some twice."""
+        for known, some, around in self._around:
+            if known is batch and some is rows:
+                return around
+        around = self.network.surroundings(batch, rows)
+        self._around = [*self._around[-1:], (batch, rows, around)]
+        return around

@@ -95,6 +95,8 @@ def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
         return "write it without quotation marks: a name with a dot in quotation marks is another one"
     beside = list(_group(model, path[:-1]).model_fields)
     if same and nearest(str(path[-1]), beside, _MISSPELT) is None:
+        if same == [path[-1]] and any(isinstance(part, int) for part in path):
+            return f"'{path[-1]}' holds for the whole file: write it above its first [table]"
         return did_you_mean(_dotted(path), same)
     return did_you_mean(str(path[-1]), beside)
 

@@ -124,7 +124,7 @@ def sweep(
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 
     asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
-    plan = plan_sweep(asked)
+    plan = plan_sweep(asked, places=True)
     name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem
     slots = workers or cores()
     with ExitStack() as stack:

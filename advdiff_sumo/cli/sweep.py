@@ -13,7 +13,7 @@ from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
-from advdiff_sumo.cli.terminal import Bars, print_json, terminal
+from advdiff_sumo.cli.terminal import Bars, counted, print_json, terminal
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs
     from advdiff_sumo.sweep.sweep_store import Store
     from advdiff_sumo.sweep.tasks import WorkerLimits
+
+_OF_DRY_RUN = "interrupted; a dry run keeps nothing"
 
 
 def sweep(
@@ -66,9 +68,11 @@ def sweep(
         raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
     console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
     begun = None if resume is None else Store.open(resume)
-    plan = _plan(console, file, begun, diverse)
     slots = workers or worker.cores()
     with ExitStack() as stack:
+        if dry_run:
+            stack.enter_context(says_how_to_go_on(lambda: None, _OF_DRY_RUN))
+        plan = _plan(console, file, begun, diverse)
         limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
             _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
@@ -130,7 +134,7 @@ def _plan(console: Console, file: Path | None, begun: Store | None, diverse: boo
     from advdiff_sumo.sweep.job_plan import plan_sweep, sweep_notes
 
     try:
-        plan = plan_sweep(_spec(file, begun, diverse))
+        plan = plan_sweep(_spec(file, begun, diverse), places=True)
     except (ConfigError, UnknownNameError) as error:
         if file is None or str(file) in str(error):
             raise
@@ -190,7 +194,8 @@ def _tell_estimate(
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate
 
-    console.print(f"{plan.wanted} episodes in {len(plan.cells)} runs; {todo.total - todo.done} to do")
+    asked = f"{counted(plan.wanted, 'episode')} in {counted(len(plan.cells), 'run')}"
+    console.print(f"{asked}; {todo.total - todo.done} to do")
     with ProcessExecutor(1, limits) as executor:
         expected = estimate(plan, todo.ahead(plan), executor)
     if expected is not None:

@@ -9,7 +9,7 @@ from functools import cached_property
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -82,6 +82,14 @@ class RunOptions(Options):
             "net": str(net_of_configuration(Path(net))),
             "demand": values.get("demand") or demand,
         }
+
+    @model_validator(mode="after")
+    def _lasts_a_step(self) -> Self:
+        if round(self.horizon_s / self.sim.step_s) == 0:
+            raise ValueError(
+                f"horizon_s = {self.horizon_s:g} is shorter than a step; give at least sim.step_s, {self.sim.step_s:g}"
+            )
+        return self
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, InputError
+from advdiff_sumo.core.errors import ConfigError, InputError, UnknownNameError
 from advdiff_sumo.data import open_log
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import net_name
@@ -102,20 +102,21 @@ class SweepPlan:
         return jobs[0]
 
 
-def plan_sweep(spec: SweepSpec, *, drives: bool = True) -> SweepPlan:
+def plan_sweep(spec: SweepSpec, *, drives: bool = True, places: bool = False) -> SweepPlan:
     """Check *spec* and lay out its episodes; reads nets, demand and logs and makes each target once.
 
     Args:
         spec: what is asked.
         drives: episodes are to be run; False: neither target nor background is made, imported or reached, but for the
             background of a diverse sweep, which is imported to learn its kinds of attack.
+        places: what is wrong with a driver or background of a case begins with its place in the sweep file, "cases.0".
 
     Raises:
         InputError: one of its kinds; a sentence that names the culprit.
     """
-    check = _Check(drives)
-    asked = tuple(spec.cells())
-    cells = tuple(check.cell(options) for options in (_by_kind(asked) if spec.diverse else asked))
+    check = _Check(drives, places)
+    asked = tuple(spec.placed_cells())
+    cells = tuple(check.cell(*placed) for placed in (_by_kind(asked) if spec.diverse else asked))
     jobs: list[Job] = []
     batches: dict[str, Batch] = {}
     counts: dict[str, int] = {}
@@ -133,7 +134,7 @@ def plan_sweep(spec: SweepSpec, *, drives: bool = True) -> SweepPlan:
             scene_key = digest([source, "scene", number])
             key = digest([own, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
-    wanted = sum(options.episodes for options in asked)
+    wanted = sum(options.episodes for _, options in asked)
     return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(check.roads), wanted)
 
 
@@ -159,13 +160,13 @@ def plan_run(run: Run) -> SweepPlan:
     return SweepPlan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]), len(jobs))
 
 
-def _by_kind(cells: Iterable[RunOptions]) -> list[RunOptions]:
-    """Return *cells* with every kind of attack.
+def _by_kind(cells: Iterable[tuple[str, RunOptions]]) -> list[tuple[str, RunOptions]]:
+    """Return *cells*, each after its place in the file, with every kind of attack.
 
     Raises:
         ConfigError: there is but one kind for each.
     """
-    split = [list(by_kind(cell)) for cell in cells]
+    split = [[(where, kind) for kind in by_kind(cell)] for where, cell in cells]
     if all(len(some) == 1 for some in split):
         raise ConfigError(
             "a diverse sweep chooses among kinds of attack, and no background here has several; "
@@ -206,16 +207,25 @@ def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:
 class _Check:
     """Checks each net, target and background once, however many runs share it."""
 
-    def __init__(self, drives: bool) -> None:
-        self._drives = drives
+    def __init__(self, drives: bool, places: bool) -> None:
+        self._drives, self._places = drives, places
         self._roads: dict[str, RoadMap] = {}
         self._known: dict[str, Any] = {}
         self._demands: dict[tuple[str, str], DemandFiles] = {}
 
-    def cell(self, options: RunOptions) -> RunOptions:
-        """Return *options* as they are written down: names as registered, files by full path."""
+    def cell(self, where: str, options: RunOptions) -> RunOptions:
+        """Return *options* as they are written down: names as registered, files by full path.
+
+        Raises:
+            InputError: one of its kinds; a sentence that names the culprit.
+        """
         if self._drives:
-            self._check_drivers(options)
+            try:
+                self._check_drivers(options)
+            except (ConfigError, UnknownNameError) as error:
+                if not (self._places and where):
+                    raise
+                raise ConfigError(f"{where}: {error}") from error
         if options.net not in self._roads:
             self._roads[options.net] = read_road(options.net)
         if options.scenes:

@@ -148,11 +148,11 @@ class SweepSpec(Options):
         """Check *values*; *where* they come from begins the message."""
         spec = SweepSpec.parse(values, where)
         try:
-            next(spec.cells())
-        except StopIteration:
-            raise ConfigError(f"{where}: asks for no episode; add a [grid] or [[cases]]") from None
+            cells = list(spec.placed_cells())
         except AdvdiffError as error:
             raise ConfigError(f"{where}: {error}") from None
+        if not cells:
+            raise ConfigError(f"{where}: asks for no episode; add a [grid] or [[cases]]")
         return spec._absolute()
 
     def _absolute(self) -> SweepSpec:
@@ -166,19 +166,24 @@ class SweepSpec(Options):
         """Yield the runs that the sweep is made of, the grid's first.
 
         Raises:
-            ConfigError: a part of the grid is empty.
+            ConfigError: a part of the grid is empty, or an option of a case impossible.
         """
+        return (options for _, options in self.placed_cells())
+
+    def placed_cells(self) -> Iterator[tuple[str, RunOptions]]:
+        """Yield the same runs, each after its place in the list of cases, "cases.0", or "" for the grid."""
         if not self.seeds:
             raise ConfigError("seeds is empty; give at least one, such as seeds = [0]")
         if self.grid is not None:
             yield from self._grid_cells(self.grid)
-        for case in self.cases:
+        for number, case in enumerate(self.cases):
+            where = f"cases.{number}"
             own = case.model_dump(exclude={"seed", "episodes", "scene"})
-            scene = self._scene_of(case)
+            own["scene"] = self._scene_of(case, where)
             for seed in self.seeds if case.seed is None else (case.seed,):
-                yield self._cell(seed, case.episodes or self.episodes, {**own, "scene": scene})
+                yield where, self._cell(where, seed, case.episodes or self.episodes, own)
 
-    def _grid_cells(self, grid: Grid) -> Iterator[RunOptions]:
+    def _grid_cells(self, grid: Grid) -> Iterator[tuple[str, RunOptions]]:
         for name in ("nets", "targets", "backgrounds"):
             if not getattr(grid, name):
                 raise ConfigError(f"the grid is empty: grid.{name} has no entry; name at least one")
@@ -193,21 +198,16 @@ class SweepSpec(Options):
                 "background_options": background[1],
                 "scene": self.scene,
             }
-            yield self._cell(seed, self.episodes, own)
+            yield "", self._cell("grid", seed, self.episodes, own)
 
-    def _cell(self, seed: int, episodes: int, own: Mapping[str, Any]) -> RunOptions:
-        return RunOptions(
-            **own,
-            seed=seed,
-            episodes=episodes,
-            horizon_s=self.horizon_s,
-            sim=self.sim,
-        )
+    def _cell(self, where: str, seed: int, episodes: int, own: Mapping[str, Any]) -> RunOptions:
+        shared = {"seed": seed, "episodes": episodes, "horizon_s": self.horizon_s, "sim": self.sim}
+        return RunOptions.parse({**own, **shared}, where)
 
-    def _scene_of(self, case: Case) -> SceneOptions:
+    def _scene_of(self, case: Case, where: str) -> SceneOptions:
         if case.scene is None:
             return self.scene
-        return SceneOptions.parse({**self.scene.model_dump(), **case.scene}, "scene of a case")
+        return SceneOptions.parse({**self.scene.model_dump(), **case.scene}, f"{where}.scene")
 
 
 def _absolute(place: _Place) -> _Place:

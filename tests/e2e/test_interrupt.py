@@ -168,3 +168,20 @@ def _place(grid: Path, folder: Path) -> Path:
     (folder / "grid.net.xml").write_bytes(grid.read_bytes())
     (folder / "our_planners.py").write_text(PLANNERS)
     return folder
+
+
+def test_ctrl_c_in_a_dry_run_keeps_nothing(grid: Path, tmp_path: Path) -> None:
+    folder = _place(grid, tmp_path)
+    (folder / "endless.py").write_text(ENDLESS)
+    case = '[[cases]]\nnet = "grid.net.xml"\ntarget = "endless:Endless"\n'
+    scene = "[scene]\nwarmup_s = 10.0\nscenes_per_warmup = 1\nmin_neighbours = 1\n"
+    (folder / "long.toml").write_text(f"episodes = 1\nhorizon_s = 4.0\n{case}{scene}")
+    running = begin("sweep", "long.toml", "--dry-run", cwd=folder)
+    until = time.monotonic() + HANG_S
+    while not (folder / "began").exists():
+        assert running.poll() is None, running.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=HANG_S)
+    assert (running.returncode, said.splitlines()) == (130, ["interrupted; a dry run keeps nothing"])

@@ -50,7 +50,21 @@ def test_a_case_may_have_scenes_of_its_own() -> None:
     [
         (
             {"cases": [{"scene": {"situatoin": "turning"}}]},
-            ("x.toml: scene of a case: no option 'situatoin'", "did you mean 'situation'"),
+            ("x.toml: cases.0.scene: no option 'situatoin'", "did you mean 'situation'"),
+        ),
+        (
+            {"cases": [{}, {"scene": {"warmup_s": 1}}]},
+            ("x.toml: cases.1.scene: warmup_s = 1: input should be greater than or equal to 5",),
+        ),
+        (
+            {"cases": [{}, {"horizon_s": -3}]},
+            (
+                "no option 'cases.1.horizon_s'; 'horizon_s' holds for the whole file: write it above its first [table]",
+            ),
+        ),
+        (
+            {"cases": [{}], "horizon_s": 0.01},
+            ("x.toml: cases.0: horizon_s = 0.01 is shorter than a step; give at least sim.step_s, 0.1",),
         ),
         ({"grid": GRID, "episods": 3}, ("x.toml: no option 'episods'", "did you mean 'episodes'")),
         ({"grid": {**GRID, "target": []}}, ("no option 'grid.target'", "did you mean 'targets'")),
@@ -109,6 +123,18 @@ def test_a_wrong_name_is_one_sentence(place: Path, grid: dict[str, Any], words: 
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_what_a_case_gives_its_target_is_refused_with_its_place(place: Path) -> None:
+    content = values(place)
+    net = content["grid"]["nets"][0]
+    cases = [{"net": net}, {"net": net, "target": "lane_graph", "target_options": {"horizon_s": -3}}]
+    spec = SweepSpec.of({**content, "grid": None, "cases": cases}, "x.toml")
+    said = "options of target 'lane_graph': horizon_s = -3: input should be greater than or equal to 3"
+    with pytest.raises(ConfigError, match=f"^cases.1: {said}"):
+        plan_sweep(spec, places=True)
+    with pytest.raises(ConfigError, match=f"^{said}"):
+        plan_sweep(spec)
 
 
 def test_the_file_of_a_run_is_no_sweep(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.run_flags import Json
 from advdiff_sumo.cli.terminal import print_json, terminal
 
@@ -113,9 +114,8 @@ def _print_rates(console: Console, comparison: Comparison) -> None:
     from advdiff_sumo.cli.sweep_results import rate_text
 
     title = f"{comparison.pairs} pairs of episodes from {comparison.scenes} seed scenes; rates in %"
-    table = Table(title=title, title_justify="left")
-    for name in ("", "A", "B", "A only", "B only", "B − A, 95 % bootstrap", "McNemar p"):
-        table.add_column(name)
+    heads = ("", "A", "B", "A only", "B only", "B − A, 95 % bootstrap", "McNemar p")
+    table = FittedTable(title, heads)
     for name, rate in comparison.rates.items():
         table.add_row(
             name,
@@ -126,7 +126,7 @@ def _print_rates(console: Console, comparison: Comparison) -> None:
             f"{100 * rate.change:+.1f} [{100 * rate.low:+.1f}, {100 * rate.high:+.1f}]",
             f"{rate.p:.4f}",
         )
-    console.print(table)
+    table.print(console)
 
 
 def _print_values(console: Console, comparison: Comparison) -> None:

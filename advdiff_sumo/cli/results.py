@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
+from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.sweep_flags import FailIf, JUnit
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
@@ -71,7 +71,8 @@ def _write(console: Console, answer: Any, form: Form) -> None:
 
         typer.echo(json.dumps(answer.to_pylist(), default=str))
     else:
-        table = Table(*answer.column_names)
+        names = answer.column_names
+        table = FittedTable("", names, dispensable=names[:0:-1])
         for row in answer.to_pylist():
             table.add_row(*("" if value is None else str(value) for value in row.values()))
-        console.print(table)
+        table.print(console)

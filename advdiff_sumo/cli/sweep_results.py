@@ -10,8 +10,8 @@ from typing import Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
+from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.cli.terminal import counted, terminal
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
@@ -39,6 +39,11 @@ _LACKING = {"failures": "episodes failed", "missing": "have not been run"}
 _OF_FAILURES = {"finished", "failures", "missing", "failure_rate", "failure_rate_low", "failure_rate_high"}
 #: Columns whose entries are copied, and so never broken.
 _WHOLE = ("key", "the worst of them")
+#: Columns that a narrow terminal can do without where all rows say the same, and those that go then.
+_ALIKE = ("net", "background")
+_OF_RATES = ("failed", "arrives", "breaks rules", "critical", "at fault")
+_OF_WORST = ("clearance", "TTC")
+_OF_FINDINGS = ("targets", "where")
 
 Row = Mapping[str, Any]
 
@@ -164,6 +169,7 @@ def _print_rates(
             "arrives",
             "failed",
         ),
+        dispensable=_OF_RATES,
     )
     columns = ("target", "target_options", "background", "background_options", "net")
     names = place_names(dict.fromkeys(str(row["net"]) for row in (*episodes, *failures)))
@@ -177,7 +183,7 @@ def _print_rates(
         )
     table.add_section()
     table.add_row("all", "", "", *_cells(overall))
-    console.print(table)
+    table.print(console)
 
 
 def _cells(figures: Figures) -> list[str]:
@@ -205,7 +211,7 @@ def _print_failures(console: Console, failures: Sequence[Row]) -> None:
     first = {row["kind"]: row for row in reversed(failures)}
     for kind, count in sorted(Counter(row["kind"] for row in failures).items()):
         table.add_row(kind, str(count), first[kind]["message"], first[kind]["command"])
-    console.print(table)
+    table.print(console)
     for kind in sorted(first.keys() & UNEXPLAINED_KINDS):
         console.print(f"{kind}: {UNEXPLAINED}", style="red", soft_wrap=True)
 
@@ -214,7 +220,8 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
     total = sum(len(finding.episodes) for finding in clusters)
     valid = sum(finding.valid for finding in clusters)
     title = f"{counted(len(clusters), 'finding')} in {counted(total, 'collision')}; valid failures: {valid}"
-    table = _table(title, "valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
+    heads = ("valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
+    table = _table(title, *heads, dispensable=_OF_FINDINGS)
     for finding in clusters[:_FINDINGS]:
         table.add_row(
             str(finding.valid),
@@ -225,7 +232,7 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
             _counts(finding.targets),
             str(finding.worst["key"]),
         )
-    console.print(table)
+    table.print(console)
     if len(clusters) > _FINDINGS:
         console.print(f"… and {len(clusters) - _FINDINGS} more")
 
@@ -239,6 +246,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
         "what",
         "TTC",
         "clearance",
+        dispensable=_OF_WORST,
     )
     for row in rows:
         what = row["end"]
@@ -250,7 +258,7 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
             what = f"critical near miss, {resolved(row['resolved_by'])}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
         table.add_row(row["key"], row["target"], row["background"], what, *values)
-    console.print(table)
+    table.print(console)
 
 
 def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) -> None:
@@ -265,7 +273,7 @@ def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) 
             cells = (tried.cells[attack, junction, band] for band in bands())
             counts = (f"{c.collisions} / {c.episodes}" if c.episodes else "–" for c in cells)
             table.add_row(attack, junction, *counts)
-    console.print(table)
+    table.print(console)
 
 
 def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
@@ -281,15 +289,11 @@ def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
     for kind, approach in dict.fromkeys((cell.kind, cell.approach) for cell in cells):
         elites = (cells.get(ArchiveCell(kind, approach, manoeuvre)) for manoeuvre in MANOEUVRES)
         table.add_row(kind, approach, *(f"{e.valid} / {e.episodes}" if e else "–" for e in elites))
-    console.print(table)
+    table.print(console)
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for column in columns:
-        whole = column in _WHOLE
-        table.add_column(column, overflow="fold", no_wrap=whole)
-    return table
+def _table(title: str, *columns: str, dispensable: Sequence[str] = ()) -> FittedTable:
+    return FittedTable(title, columns, _WHOLE, _ALIKE, dispensable)
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -297,7 +301,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _short(options: str) -> str:
-    return "" if options == "{}" else " " + options.strip("{}").replace('"', "")
+    return "" if options == "{}" else " " + options.strip("{}").replace(',"', ', "').replace('"', "")
 
 
 def _value(value: float | None, unit: str) -> str:

@@ -56,6 +56,9 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
 
     met = here("results", "done", "--fail-if", "episodes >= 6 or collision_rate > 0.5")
     assert met.code == 1
+    narrow = advdiff("results", "done", cwd=sweeps).out  # in 100 columns
+    assert "no room for columns: net (grid);" in narrow
+    assert "background" in narrow.split("failures ")[0]
     assert "--fail-if episodes >= 6 or collision_rate > 0.5: collision_rate =" in met.out
     query = "select key, target, number from episodes order by episode"
     asked = here("results", "done", "--sql", query, "--format", "json")

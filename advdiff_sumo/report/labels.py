@@ -1,12 +1,22 @@
-"""Names of targets and backgrounds: with planted defects, and with the options in which two of one name differ."""
+"""Names of runs, targets and backgrounds: with planted defects and the options in which two of one name differ."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from advdiff_sumo.report.folder import Row
+from advdiff_sumo.report.folder import FinishedRun, Row
+
+#: Backgrounds that attack, and the values of options with which they do not.
+_ATTACKING: Mapping[str, Mapping[str, Any]] = {
+    "scripted": {},
+    "diffusion": {"guide": "none", "strength": 0},
+    "strive": {"rounds": 0},
+    "advsim": {"rounds": 0},
+    "adv-rl": {"strength": 0},
+}
+_NATURAL = {"sumo": "SUMO", "replay": "replayed", "traj2traj": "traj2traj"}
 
 
 class Labels:
@@ -39,6 +49,20 @@ class Labels:
             _text(options[key]) if key == "defects" else f"{key} {_text(options[key])}" for key in telling
         )
         return f"{name} ({differences})" if differences else name
+
+
+def run_title(labels: Labels, run: FinishedRun) -> str:
+    """Return what a run is about: its target "against" what attacks it, or "in" traffic in which nobody does."""
+    targets = sorted({labels.target(row) for row in run.episodes})
+    target = targets[0] if targets else run.options.get("target", "target")
+    background = str(run.options.get("background", "background"))
+    switches = _ATTACKING.get(background)
+    own = run.options.get("background_options", {})
+    if switches is None:
+        return f"{target} in {_NATURAL.get(background, background)} traffic"
+    if any(own.get(name) == value for name, value in switches.items()):
+        return f"{target} in unguided {background} traffic"
+    return f"{target} against {background} traffic"
 
 
 def _options(text: str) -> dict[str, Any]:

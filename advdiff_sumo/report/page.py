@@ -15,7 +15,7 @@ from advdiff_sumo.planners.remote.remote_name import is_remote
 from advdiff_sumo.report.blocks import streets_block
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
-from advdiff_sumo.report.labels import Labels
+from advdiff_sumo.report.labels import Labels, run_title
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import read_command
 from advdiff_sumo.report.matrix import archives_of, matrix_of
@@ -72,6 +72,7 @@ def report_html(run: FinishedRun) -> str:
             kinds=sorted({str(row["collision_type"]) for row in run.episodes if row["collision_type"]}),
             settings=list(_flat(run.settings)),
             rates=headline(run.episodes, run.unstarted),
+            title=run_title(labels, run),
             margins=margins_of(run, nets),
             again=read_command(run.folder),
             archives=archives_of(run.episodes, labels),

@@ -62,7 +62,7 @@ def _read(folder: Path) -> Outline:
 
 def test_says_what_was_run_and_how_to_repeat_it(two_episodes: Path) -> None:
     text = _read(two_episodes).text
-    assert "IDM against replay traffic" in text
+    assert "IDM in replayed traffic" in text
     assert "2 episodes of at most 20.0 s" in text
     assert "advdiff-sumo run --config run.toml" in text
 
@@ -70,7 +70,26 @@ def test_says_what_was_run_and_how_to_repeat_it(two_episodes: Path) -> None:
 def test_names_planted_defects(make_folder: Any, rows: Any) -> None:
     planted = {"target_options": {"defects": ["range:strong"]}}
     outline = _read(make_folder([rows.episode(0)], options=planted))
-    assert "IDM (range:strong) against replay traffic" in outline.text
+    assert "IDM (range:strong) in replayed traffic" in outline.text
+
+
+@pytest.mark.parametrize(
+    ("background", "options", "title"),
+    [
+        ("sumo", {}, "IDM in SUMO traffic"),
+        ("scripted", {}, "IDM against scripted traffic"),
+        ("diffusion", {"attack": "cut-in"}, "IDM against diffusion traffic"),
+        ("diffusion", {"guide": "none"}, "IDM in unguided diffusion traffic"),
+        ("diffusion", {"strength": 0.0}, "IDM in unguided diffusion traffic"),
+        ("traj2traj", {}, "IDM in traj2traj traffic"),
+        ("examples.coast:Coast", {}, "IDM in examples.coast:Coast traffic"),
+    ],
+)
+def test_a_target_is_against_those_who_attack(
+    make_folder: Any, rows: Any, background: str, options: dict[str, Any], title: str
+) -> None:
+    asked = {"background": background, "background_options": options}
+    assert title in _read(make_folder([rows.episode(0)], options=asked)).text
 
 
 def test_rates_with_intervals_and_sample_sizes(two_episodes: Path) -> None:

@@ -70,8 +70,9 @@ def filled(page: str, files: dict[str, str], selection: dict[str, Any]) -> str:
         chosen = selection[match[2]]
         first, *also = tables_of(match[2], selection)
         lines = [line for name in (first, *also) for line in csv.DictReader(text(f"{name}.csv").splitlines())]
-        more = "".join(f"; [more](tables/{name}.csv)" for name in also)
-        return f"{match[1]}{picked(lines, chosen)}\n{_source(first, provenance)}{more}\n{match[3]}"
+        more = ", ".join(f"[{chosen['also'][name]}](tables/{name}.csv)" for name in also)
+        source = _source(first, provenance) + (f"; CSV: {more}" if more else "")
+        return f"{match[1]}{picked(lines, chosen)}\n{source}\n{match[3]}"
 
     return _PLACE.sub(place, page)
 

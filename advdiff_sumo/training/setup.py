@@ -266,7 +266,7 @@ def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
     known = _known(begun.options)
     for name in ("diffusion_steps", "noise_schedule"):
         value, has = getattr(plan.options, name), known[name]
-        if value not in (has, TrainOptions.model_fields[name].default):
+        if name in plan.options.model_fields_set and value != has:
             raise ConfigError(
                 f"{name} = {value}: the denoiser of {plan.init} has {has}, and the stage '{plan.stage}' makes none "
                 "anew; leave it out, or train a denoiser from weights that have none"
@@ -288,8 +288,8 @@ def _asked_of_new_parts(plan: TrainingRequest, begun: Bundle, stage: str) -> dic
     Raises:
         ConfigError: others are asked for than *begun* has, of what is not made anew.
     """
-    usual, free = ModelOptions(), _NEW_PARTS.get(stage, frozenset())
-    asked = {name: value for name, value in plan.options.model if value != getattr(usual, name)}
+    free, model = _NEW_PARTS.get(stage, frozenset()), plan.options.model
+    asked = {name: value for name, value in model if name in model.model_fields_set}
     for name, value in asked.items():
         has = getattr(begun.options.model, name)
         if name not in free and name != "map_view" and value != has:

@@ -15,6 +15,7 @@ import torch
 from advdiff_sumo.core.errors import ConfigError, TrainingError, WeightsError
 from advdiff_sumo.data.window_files import read_windows, write_windows
 from advdiff_sumo.models.batch import SceneBatch
+from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.shipped_weights import WEIGHTS
 from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.training import checkpoint
@@ -248,6 +249,11 @@ def test_a_denoiser_that_is_trained_on_keeps_its_sizes_and_noise(window_folder: 
     for asked, said in (
         ("model.denoiser_layers=0", r"model.denoiser_layers = 0: the networks of .*denoiser have 1"),
         ("diffusion_steps=50", r"diffusion_steps = 50: the denoiser of .*denoiser has 20, and the stage"),
+        (
+            "noise_schedule=cosine",
+            "noise_schedule = cosine: the denoiser of .*denoiser has linear",
+        ),  # the usual one
+        (f"model.edge={ModelOptions().edge}", r"model.edge = \d+: the networks of .*denoiser have 8"),
     ):
         with pytest.raises(ConfigError, match=said):
             job(window_folder, tmp_path / "refused", "denoiser", known, asked)

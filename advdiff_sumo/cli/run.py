@@ -65,6 +65,7 @@ def run(
     resume: flags.Resume = False,
     retry_failed: flags.RetryFailed = False,
     check: flags.Check = False,
+    no_report: flags.NoReport = False,
     quiet: flags.Quiet = False,
     as_json: flags.Json = False,
 ) -> None:
@@ -103,7 +104,13 @@ def run(
     print_notes(console, notes)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
+        if not no_report:
+            stack.callback(_draw, folder.path)
         count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
+    if resume and no_report:
+        from advdiff_sumo.cli.summary import note_old_report  # late, as above
+
+        note_old_report(console, folder.path)
     _tell_outcome(console, folder, prepared, count, check, as_json)
 
 
@@ -159,39 +166,42 @@ def print_notes(console: Console, notes: Iterable[str]) -> None:
 def _episodes(
     prepared: Run, folder: RunFolder, console: Console, limits: WorkerLimits, quiet: bool, retry_failed: bool
 ) -> int:
-    """Run what *folder* lacks behind a bar, write the report whatever happens, and return how many there are."""
+    """Run what *folder* lacks behind a bar, and return how many there are."""
     from advdiff_sumo.report.attack_words import out_of_position
-    from advdiff_sumo.report.page import write_report
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
     from advdiff_sumo.sweep.run_engine import run_into
 
     executor = SerialExecutor(prepared) if prepared.gui else ProcessExecutor(1, limits)
     hits = failed = 0
-    try:
-        with progress_bar(console) as progress:
-            done = len(folder.done(retry_failed))
-            task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
+    with progress_bar(console) as progress:
+        done = len(folder.done(retry_failed))
+        task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
-            def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
-                nonlocal hits, failed
-                hits += bool(row and row["target_collision"])
-                failed += failure is not None
-                words = f"episodes · {hits} collisions" + (f" · {failed} failed" if failed else "")
-                progress.update(task, advance=1, description=words)
-                lacking = out_of_position(row or {})
-                if row and lacking is not None:
-                    console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
+        def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
+            nonlocal hits, failed
+            hits += bool(row and row["target_collision"])
+            failed += failure is not None
+            words = f"episodes · {hits} collisions" + (f" · {failed} failed" if failed else "")
+            progress.update(task, advance=1, description=words)
+            lacking = out_of_position(row or {})
+            if row and lacking is not None:
+                console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
 
-            silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
+        silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
 
-            def hear(line: str) -> None:
-                if not silent:  # with -v it is logs, too
-                    sys.stderr.write(f"{line}\n")  # above the bar, which minds it
+        def hear(line: str) -> None:
+            if not silent:  # with -v it is logs, too
+                sys.stderr.write(f"{line}\n")  # above the bar, which minds it
 
-            return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
-    finally:
-        if (folder.path / "episodes.parquet").exists():
-            write_report(folder.path)
+        return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
+
+
+def _draw(folder: Path) -> None:
+    """Draw the report, if there are tables to draw."""
+    from advdiff_sumo.report.page import write_report  # late, as above
+
+    if (folder / "episodes.parquet").exists():
+        write_report(folder)
 
 
 def _begun(out: Path | None) -> Path:

@@ -125,6 +125,7 @@ Defect: TypeAlias = Annotated[
 Check: TypeAlias = Annotated[
     bool, typer.Option("--check", help="Print which background vehicle did what no vehicle should do.")
 ]
+NoReport: TypeAlias = Annotated[bool, typer.Option("--no-report", help="Draw no report.html at the end.")]
 Quiet: TypeAlias = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print the result as one JSON object and nothing else.")

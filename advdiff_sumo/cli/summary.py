@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -48,13 +49,28 @@ def print_summary(
         report = f"\n  {UNEXPLAINED}" if failure["kind"] in UNEXPLAINED_KINDS else ""
         again = f"\n  again: {failure['command']}{report}"
         console.print(sentence + again, style="red", soft_wrap=True)
-    console.print(f"results: {folder}  ·  look at {folder / 'report.html'}", soft_wrap=True)
+    page = report_of(folder)
+    console.print(f"results: {folder}" + (f"  ·  look at {page}" if page else ""), soft_wrap=True)
+
+
+def report_of(folder: Path) -> Path | None:
+    """Return the report of the run or sweep in *folder*; None where none was drawn."""
+    path = folder / "report.html"
+    return path if path.exists() else None
+
+
+def note_old_report(console: Console, folder: Path) -> None:
+    """Say that the report in *folder*, if there is one, does not show what was run just now."""
+    if report_of(folder):
+        again = f"advdiff-sumo report {shlex.quote(str(folder))}"
+        console.print(f"note: report.html is that of before; {again} draws it anew", soft_wrap=True)
 
 
 def run_object(folder: Path) -> dict[str, Any]:
-    """Return what ``--json`` prints of a run or sweep: where its results lie and what it came to."""
+    """Return what ``--json`` prints of a run or sweep: its folder, its report if there is one, and what it came to."""
     rows = RunTables(folder).all_episodes()
-    files = {"folder": str(folder.resolve()), "report": str((folder / "report.html").resolve())}
+    report = report_of(folder)
+    files = {"folder": str(folder.resolve()), "report": report and str(report.resolve())}
     return files | summary_figures(rows)
 
 

@@ -56,7 +56,7 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
+    from advdiff_sumo.cli.summary import note_old_report, run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
@@ -90,9 +90,8 @@ def sweep(
         missing = _episodes(console, plan, store, todo, done_by, retries)
     if report:
         _draw(console, store.path)
-    elif todo.done < todo.total and (store.path / "report.html").exists():
-        again = f"advdiff-sumo report {shlex.quote(str(store.path))}"
-        console.print(f"note: report.html is that of before; {again} draws it anew", soft_wrap=True)
+    elif todo.done < todo.total:
+        note_old_report(console, store.path)
     if as_json:
         print_json({**run_object(store.path), "missing": missing})
     conclude(console, rows_of_sweep(store, plan, missing), condition, junit)

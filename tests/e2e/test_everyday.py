@@ -35,6 +35,16 @@ def test_json_is_one_object_and_nothing_else(workplace: Path) -> None:
     assert (told["episodes"], told["finished"], told["failed"]) == (2, 0, {"planner_error": 2})
 
 
+def test_a_run_without_a_report(here: Callable[..., Outcome], workplace: Path) -> None:
+    told = json.loads(here(*RUN, "--no-report", "--json", "--out", "run").out)
+    assert (told["episodes"], told["report"]) == (2, None)
+    assert not (workplace / "run" / "report.html").exists()
+    goes_on = ("run", "--resume", "--out", "run")
+    assert here(*goes_on, "--no-report").out.endswith("results: run\n")
+    assert here(*goes_on).out.endswith("results: run  ·  look at run/report.html\n")
+    assert "report.html is that of before; advdiff-sumo report run draws" in here(*goes_on, "--no-report").out
+
+
 def test_quiet_prints_nothing(here: Callable[..., Outcome], workplace: Path) -> None:
     assert here(*RUN, "--quiet", "--out", "run") == Outcome(0, "", "")
     assert "our_planners:Nothing" in sentence(here(*RUN, "-q", "--target", "our_planners:Nothing"))

@@ -43,7 +43,7 @@ _TlsCycle = Annotated[
     typer.Option(
         min=0,
         metavar="N",
-        help="Fixed signal times, by SUMO's tlsCycleAdaptation, for N random vehicles an hour; 0: actuated.",
+        help="Fixed signal times, for N random vehicles an hour, by tlsCycleAdaptation of SUMO; 0: actuated.",
     ),
 ]
 _CrossingsOption = Annotated[
@@ -79,7 +79,7 @@ def convert(
     dataroot: Annotated[
         Path | None, typer.Option(help="nuScenes data set whose logged poses are compared with the net.")
     ] = None,
-    report: Annotated[bool, typer.Option(help="Write the page NAME.fidelity.html.")] = False,
+    report: Annotated[bool, typer.Option(help="Write the page NAME.fidelity.html")] = False,
     lefthand: _Lefthand = None,
     tls: _Tls = "map",
     tls_cycle: _TlsCycle = 0,

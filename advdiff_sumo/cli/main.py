@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 import sys
@@ -69,6 +70,16 @@ app.command("list")(list_names)
 app.command("defects")(defects)
 app.command("planner-kit")(planner_kit)
 app.command("doctor")(doctor)
+
+
+def _flowing(text: str) -> str:
+    """Return *text* with each paragraph in one line, so that it is broken where the terminal ends."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+
+
+for group in (app, data, bench):
+    for command in group.registered_commands:
+        command.help = _flowing(inspect.getdoc(command.callback) or "")
 
 
 def _version(wanted: bool) -> None:

@@ -67,7 +67,7 @@ def margin(
     within: _Within = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results.", show_default="runs/margin-ATTACK-NET-TARGET-…-sSEED"),
+        typer.Option(help="Folder for the results.", show_default="runs/margin-…-sSEED"),
     ] = None,
     config: flags.Config = None,
     assign: flags.Assign = None,

@@ -50,7 +50,7 @@ Scenes: TypeAlias = Annotated[
 ]
 Out: TypeAlias = Annotated[
     Path | None,
-    typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-BACKGROUND-sSEED"),
+    typer.Option(help="Folder for the results.", show_default="runs/NET-TARGET-…-sSEED"),
 ]
 Config: TypeAlias = Annotated[
     Path | None, typer.Option(help="TOML file with options, such as a run's own run.toml.")

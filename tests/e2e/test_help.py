@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from advdiff_sumo import __version__
-from tests.e2e.commands import advdiff
+from tests.e2e.commands import MODULE, advdiff
 
 SCRIPT = Path(sys.executable).parent / "advdiff-sumo"
 
@@ -16,6 +18,22 @@ SCRIPT = Path(sys.executable).parent / "advdiff-sumo"
 def test_version_of_the_console_script(tmp_path: Path) -> None:
     done = advdiff("--version", cwd=tmp_path, program=(str(SCRIPT),))
     assert (done.code, done.out, done.err) == (0, f"advdiff-sumo {__version__}\n", "")
+
+
+@pytest.mark.parametrize("verb", ["run", "sweep", "convert", "margin"])
+def test_nothing_is_cut_off_in_eighty_columns(
+    tmp_path: Path, verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("NO_COLOR", "1")
+    said = subprocess.run(
+        [*MODULE, verb, "--help"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    words = said.replace("│", " ").split()
+    assert [word for word in words if word.endswith("…") and word not in ("…", "scene.…", "sim.…")] == []
+    lines = [line.strip() for line in said.split("╭")[0].splitlines()]
+    for line, after in pairwise(lines):  # within a paragraph each line is as full as the next word lets
+        assert not (line and after) or len(line) + 1 + len(after.split()[0]) > 78
 
 
 def test_verbs_are_listed(tmp_path: Path) -> None:

@@ -200,7 +200,7 @@ def stats(
     if as_json:
         typer.echo(json.dumps(statistics, indent=1))
         return
-    table = Table("", "")
+    table = Table(show_header=False)
     for name, value in statistics.items():
         parts = value if isinstance(value, dict) else {"": value}
         text = "  ".join(f"{key} {part:g}".strip() for key, part in parts.items())

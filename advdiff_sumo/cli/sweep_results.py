@@ -41,7 +41,7 @@ _OF_FAILURES = {"finished", "failures", "missing", "failure_rate", "failure_rate
 _WHOLE = ("key", "the worst of them")
 #: Columns that a narrow terminal can do without where all rows say the same, and those that go then.
 _ALIKE = ("net", "background")
-_OF_RATES = ("failed", "arrives", "breaks rules", "critical", "at fault")
+_OF_RATES = ("arrives", "breaks rules", "critical", "at fault")
 _OF_WORST = ("clearance", "TTC")
 _OF_FINDINGS = ("targets", "where")
 
@@ -169,7 +169,7 @@ def _print_rates(
             "arrives",
             "failed",
         ),
-        dispensable=_OF_RATES,
+        dispensable=(*_OF_RATES, "failed") if failures else ("failed", *_OF_RATES),
     )
     columns = ("target", "target_options", "background", "background_options", "net")
     names = place_names(dict.fromkeys(str(row["net"]) for row in (*episodes, *failures)))
@@ -239,7 +239,7 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
 
 def _print_worst(console: Console, rows: Sequence[Row]) -> None:
     table = _table(
-        f"the {counted(len(rows), 'worst episode')}",
+        "the worst episode" if len(rows) == 1 else f"the {len(rows)} worst episodes",
         "key",
         "target",
         "background",

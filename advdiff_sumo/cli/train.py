@@ -193,8 +193,12 @@ def _teller(bar: Progress, job: TrainingJob) -> Tell:
 
 def _say(console: Console, job: TrainingJob, state: State) -> None:
     if not state.done:
-        console.print(f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}")
+        console.print(
+            f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}", soft_wrap=True
+        )
         return
     figures = state.history[state.best_epoch - 1]["held_out"]
     text = ", ".join(f"{name} {value:.3f}" for name, value in sorted(figures.items()))
-    console.print(f"{job.out / 'weights.safetensors'}: best of epoch {state.best_epoch}: {text}")
+    console.print(
+        f"{job.out / 'weights.safetensors'}: best of epoch {state.best_epoch}: {text}", soft_wrap=True
+    )

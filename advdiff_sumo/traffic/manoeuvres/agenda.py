@@ -52,6 +52,10 @@ class Agenda:
         first = ("cut-out", QUEUE) if drawn < _QUEUE_FIRST else ("cut-out",) if drawn < _CUT_OUT_FIRST else ()
         return Agenda((*first, *order))
 
+    def without(self, kind: str, time_s: float) -> Agenda:
+        """Return the agenda without *kind* if its turn is first, so that the next one's begins at *time_s*."""
+        return replace(self, order=self.order[1:], since_s=time_s) if self.now == kind else self
+
     @property
     def crosses_first(self) -> bool:
         """Whether a place where the target may have to yield comes before the kind whose turn it is."""

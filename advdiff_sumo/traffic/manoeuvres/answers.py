@@ -22,7 +22,8 @@ BRAKING_MPS2 = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 """Decelerations that are tried, mildest first."""
 UNANSWERABLE_MPS2 = 99.0
 """Stands for an encounter that none of them avoids."""
-_ROOM_M = 0.3
+ROOM_M = 0.3
+"""Least room before and behind the target."""
 BELIEVED_MPS2 = 4.5
 """Braking with which somebody is believed to stop at its line still; who finds it will not brakes its hardest."""
 HURRIES_MPS2 = 2.0
@@ -150,7 +151,7 @@ def trapped_share(
                 xy_m[rows],
                 yaw_rad[rows],
                 size_m[rows],
-                -_ROOM_M,
+                -ROOM_M,
             )
             for driven_m in target.ways_out_m(when)[: 2 if when > 0.0 else 1]
         ]
@@ -189,7 +190,7 @@ def _clear(
     xy_m: FloatArray,
     yaw_rad: FloatArray,
     size_m: FloatArray,
-    room_m: float = _ROOM_M,
+    room_m: float = ROOM_M,
 ) -> BoolArray:
     """Return (C, P) which answers of the target stay clear of which future, by *room_m* before and behind it."""
     half = 0.5 * target.size_m + room_m * np.array([1.0, 0.0])

@@ -12,10 +12,10 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import (
     TargetWay,
     contact_share,
-    needed_braking,
     seen_not_to_stop_s,
     trapped_share,
 )
+from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
@@ -83,9 +83,7 @@ def rank(
     if target is None or not proposals:
         return []
     futures = futures_of_manoeuvres(proposals, np.array([view.speed(m.row) for m in proposals]))
-    now = view.scene.history.xy_m[:, -1]
-    perceived = np.array([m.asks_s(now[m.row]) for m in proposals])
-    needed = needed_braking(target, *_obstacles(view, proposals, futures), perceived)
+    needed = demanded_braking(view, target, proposals, futures)
     merit = _merits(view, proposals, futures, needed, intensity, begun)
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     features: Sequence[tuple[float, ...]] = [()] * len(proposals)
@@ -134,22 +132,6 @@ def _merits(
         near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near
     return merit
-
-
-def _obstacles(
-    view: SituationView, proposals: Sequence[Manoeuvre], futures: ManoeuvreFutures
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return centres (C, T, 2), headings (C, T) and sizes (C, 2) of whom the target has to mind.
-
-    That is who drives the manoeuvre, or who stands and is revealed by it.
-    """
-    history = view.scene.history
-    xy, yaw = futures.xy_m.copy(), futures.yaw_rad.copy()
-    rows = [m.row if m.reveals is None else m.reveals for m in proposals]
-    for k, manoeuvre in enumerate(proposals):
-        if manoeuvre.reveals is not None:
-            xy[k], yaw[k] = history.xy_m[manoeuvre.reveals, -1], history.yaw_rad[manoeuvre.reveals, -1]
-    return xy, yaw, history.size_m[rows]
 
 
 def _certain(share: FloatArray) -> FloatArray:

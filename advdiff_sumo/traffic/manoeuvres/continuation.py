@@ -11,9 +11,10 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
@@ -118,13 +119,8 @@ def _is_answerable(view: SituationView, manoeuvre: Manoeuvre) -> bool:
     """Return whether some braking keeps the target clear of who cuts in, from when it is there and slows on."""
     if view.target is None:
         return True
-    row = manoeuvre.row
-    futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(row)]))
-    asks_s = np.array([manoeuvre.asks_s(view.scene.history.xy_m[row, -1])])
-    size = view.size(row)[None]
-    return bool(
-        needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, asks_s)[0] <= BRAKING_MPS2[-1]
-    )
+    futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
+    return bool(demanded_braking(view, view.target, [manoeuvre], futures)[0] <= BRAKING_MPS2[-1])
 
 
 def _is_before(view: SituationView, row: int) -> bool:

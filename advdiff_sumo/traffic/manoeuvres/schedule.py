@@ -13,6 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, queue_comes
 
@@ -50,7 +51,7 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
 
     Who stands is among what is remembered alone.
     """
-    kept = replace(kept, standing=kept.standing.at(view))
+    kept = _still_standing(view, kept)
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     kinds = [kind for kind in kept.staged(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
@@ -67,6 +68,20 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     if hidden:
         kept = replace(kept, standing=StandingTraffic("cut-out", hidden, view.scene.time_s))
     return tuple(one for one in newcomers if one not in hidden), replace(kept, stage=stage)
+
+
+def _still_standing(view: SituationView, kept: Commitments) -> Commitments:
+    """Return what is remembered where those move off who need not stand any more, or for whom there was no room."""
+    before, now = kept.standing, view.scene.time_s
+    if not before.members:
+        return kept
+    standing = before.at(view)
+    lacking = (
+        len(set(before.names) - view.scene.history.index.keys()) if now - before.since_s <= PLAN_DT_S else 0
+    )
+    stage = replace(kept.stage, most=kept.stage.most + lacking)  # others may come in in their place
+    agenda = kept.agenda if standing.members else kept.agenda.without(before.kind, now)
+    return replace(kept, standing=standing, stage=stage, agenda=agenda)
 
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:

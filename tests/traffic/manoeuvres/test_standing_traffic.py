@@ -10,6 +10,9 @@ import pytest
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import (
@@ -146,3 +149,26 @@ def test_a_queue_is_in_every_plan_where_it_is_by_then(motorway: RoadMap) -> None
     assert plan.tracks.times_s[0] == 3.5
     assert plan.routes.keys() == set(queue.names)
     assert with_standing(plan, queue, 3.0) is plan
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_queue_without_room_gives_its_turn_and_its_vehicles_back(there: bool, motorway: RoadMap) -> None:
+    kept = Commitments({"cut-in": 1.0}, stage=STAGE, agenda=Agenda(("queue", "cut-in")))
+    newcomers, kept = let_in(view_of(motorway, target=(0, 50.0, 20.0)), kept)
+    assert newcomers == ()
+    count = len(kept.standing.members)
+    assert kept.attacking == kept.standing.names
+    assert kept.manoeuvres == dict.fromkeys(kept.standing.names, "queue")
+    queue = kept.standing if there else replace(kept.standing, members=())
+    _, after = let_in(later(motorway, queue, 0.5, 20.0, 60.0), kept)
+    assert after.standing.members == queue.members
+    assert after.agenda.now == ("queue" if there else "cut-in")
+    assert after.stage.most == STAGE.most + (0 if there else count)
+
+
+def test_nobody_else_attacks_at_a_queue(motorway: RoadMap) -> None:
+    kept = Commitments({"cut-in": 1.0}, stage=STAGE, agenda=Agenda(("queue", "cut-in")))
+    view = view_of(motorway, target=(0, 50.0, 20.0))
+    _, kept = let_in(view, kept)
+    assert kept.standing.is_queue
+    assert kept.wanted(view) == kept.staged(view) == ()

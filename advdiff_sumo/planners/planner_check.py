@@ -24,6 +24,8 @@ from advdiff_sumo.planners.planner_protocol import Planner
 _SEED = 20080915
 _SLACK_M, _SLACK_MPS = 0.1, 0.1
 _MAX_YAW_RATE_RADPS = 3.0
+_SHORT_SHARE = 0.1
+"""By how much the way of a step may fall short of its lower speed: a chord is shorter than its arc."""
 
 
 class Part(StrEnum):
@@ -188,12 +190,16 @@ def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
     xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
     yaw = np.unwrap(np.append(history.yaw_rad[row, -1], plan.yaw_rad))
     speed = np.append(history.speed_mps[row, -1], plan.speed_mps)
-    stride = np.hypot(*np.diff(xy, axis=0).T)
-    fastest = np.maximum(speed[1:], speed[:-1]) * plan.dt_s + _SLACK_M
+    stride, chord_rad = np.diff(xy, axis=0), (yaw[1:] + yaw[:-1]) / 2.0
+    forward = stride[:, 0] * np.cos(chord_rad) + stride[:, 1] * np.sin(chord_rad)
+    farthest = np.maximum(np.abs(speed[1:]), np.abs(speed[:-1])) * plan.dt_s + _SLACK_M
+    least = np.minimum(speed[1:], speed[:-1]) * plan.dt_s
+    short = least - _SHORT_SHARE * np.abs(least) - _SLACK_M
     gain = np.diff(speed) / plan.dt_s
     slack = _SLACK_MPS / plan.dt_s
     faults = [
-        (stride > fastest, "moves farther than its speeds allow"),
+        (np.hypot(*stride.T) > farthest, "moves farther than its speeds allow"),
+        (forward < short, "moves less far than its speeds say (box centres, from now + dt on)"),
         (gain > limits.accel_mps2 + slack, f"accelerates by more than {limits.accel_mps2:g} m/s²"),
         (gain < -limits.brake_mps2 - slack, f"brakes by more than {limits.brake_mps2:g} m/s²"),
         (

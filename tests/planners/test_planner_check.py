@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from advdiff_sumo.core.plan import Controls, Trajectory
 from advdiff_sumo.core.plan_form import plan_arrays
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.planner_check import check_planner, planning_times_s
+from advdiff_sumo.planners.planner_check import check_planner, motion_problems, planning_times_s
 from advdiff_sumo.planners.planner_registry import make_target
 
 from .scenes import Car, make_scene
@@ -95,6 +96,8 @@ CASES: list[tuple[Callable[[Scene, int, np.random.Generator], Any], str]] = [
     (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, np.nan)), None), "not finite"),
     (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(4)), None), "shape"),
     (lambda s, _n, _r: (with_values(straight(s), xy_m=straight(s).xy_m + 5.0), None), "step 0 moves farther"),
+    (lambda s, _n, _r: (with_values(straight(s), xy_m=straight(s).xy_m - [1.4, 0.0]), None), "less far"),
+    (lambda s, _n, _r: (with_values(straight(s), xy_m=straight(s).xy_m - [1.0, 0.0]), None), "less far"),
     (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(5)), None), "brakes by more"),
     (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, 2.0)), None), "turns faster"),
     (
@@ -115,6 +118,20 @@ def test_a_broken_contract_is_named(
     words: str,
 ) -> None:
     assert words in "; ".join(check_planner(Broken(make), crossing(), scene))
+
+
+def test_a_plan_may_reverse(scene: Scene) -> None:
+    states = scene.history
+    back = replace(scene, history=replace(states, speed_mps=np.full_like(states.speed_mps, -2.0)))
+    assert motion_problems(straight(back), back) == []
+
+
+def test_a_plan_may_bend(scene: Scene) -> None:
+    turn_rad = 1.4  # in half a second at 10 m/s: the chord is 4.60 m, 8 % shorter than the arc of 5 m
+    chord_m = 5.0 * np.sin(turn_rad / 2.0) / (turn_rad / 2.0)
+    way_m = chord_m * np.array([[np.cos(turn_rad / 2.0), np.sin(turn_rad / 2.0)]])
+    xy_m = scene.history.xy_m[scene.target, -1] + way_m
+    assert motion_problems(Trajectory(xy_m, np.array([turn_rad]), np.array([10.0]), 0.5), scene) == []
 
 
 class WritesIntoMap(Broken):

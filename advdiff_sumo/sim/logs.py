@@ -60,8 +60,8 @@ class LoggedTraffic:
         if not drives:
             problem = "none of the log's drives is on this net"
             raise SceneError(f"{self.road.path}: {problem}; convert the log's own map{_own_map(logged)}")
-        starts = [self._moving(drive) for drive in drives]
-        if not any(starts) and self._standing(drives):
+        starts, standing = self._starts(drives)
+        if not any(starts) and standing:
             raise SceneError(
                 f"{self.road.path}: the log's ego is never faster than {self.scene.min_speed_mps:g} m/s where a scene "
                 "could start; lower scene.min_speed_mps"
@@ -75,20 +75,34 @@ class LoggedTraffic:
 
     def standing_starts(self) -> int:
         """Return how many starts are passed over because the ego stands there, or nearly (``min_speed_mps``)."""
-        return self._standing([drive for drive in self.reader.scenes() if fits(self.road, drive)])
+        return self._starts([drive for drive in self.reader.scenes() if fits(self.road, drive)])[1]
 
-    def _standing(self, drives: list[LogScene]) -> int:
-        return sum(len(self._starts(drive)) - len(self._moving(drive)) for drive in drives)
+    def _starts(self, drives: list[LogScene]) -> tuple[list[list[int]], int]:
+        """Return each drive's starts at which the ego is fast enough to be tested, and how many others there are.
 
-    def _moving(self, drive: LogScene) -> list[int]:
-        """Return those of the starts at which the ego is fast enough to be tested."""
-        speed = np.abs(drive.tracks.speed_mps[drive.ego])
-        return [k for k in self._starts(drive) if speed[k] >= self.scene.min_speed_mps]
+        Starts with less than ``_MIN_FUTURE_S`` of the log after them count only if no drive has another one.
+        """
+        moving, standing = [list[int]() for _ in drives], 0
+        for future_s in (_MIN_FUTURE_S, _SHORTEST_FUTURE_S):
+            free = [self._free_instants(drive, future_s) for drive in drives]
+            moving = [
+                [k for k in instants if self._is_moving(drive, k)]
+                for drive, instants in zip(drives, free, strict=True)
+            ]
+            standing = sum(map(len, free)) - sum(map(len, moving))
+            if any(moving):
+                break
+        return moving, standing
+
+    def _is_moving(self, drive: LogScene, now: int) -> bool:
+        return bool(np.abs(drive.tracks.speed_mps[drive.ego, now]) >= self.scene.min_speed_mps)
 
     def why_none(self) -> str:
         """Return why the log gives no seed scene, and what helps, as the end of a sentence."""
         drives = [drive for drive in self.reader.scenes() if fits(self.road, drive)]
-        reasons = Counter(self._hindrance(drive, k) for drive in drives for k in self._due(drive))
+        reasons = Counter(
+            self._hindrance(drive, k) for drive in drives for k in self._due(drive, _MIN_FUTURE_S)
+        )
         if not reasons:
             longest_s = max((drive.tracks.steps - 1) * drive.tracks.dt_s for drive in drives)
             return (
@@ -104,21 +118,22 @@ class LoggedTraffic:
             f"{self.sim.history_s:g} s after it appears and {_SHORTEST_FUTURE_S:g} s before the end"
         )
 
-    def _due(self, drive: LogScene) -> range:
-        """Return the instants with enough of the drive before and after them."""
+    def _due(self, drive: LogScene, least_future_s: float) -> range:
+        """Return the instants with enough of the drive before them, and that much, or the whole of it, after them."""
         dt = drive.tracks.dt_s
         first = self._past_instants(dt)
-        future_s = min(_MIN_FUTURE_S, max(_SHORTEST_FUTURE_S, (drive.tracks.steps - 1 - first) * dt))
+        future_s = min(least_future_s, max(_SHORTEST_FUTURE_S, (drive.tracks.steps - 1 - first) * dt))
         return range(first, drive.tracks.steps - round(future_s / dt))
 
     def _past_instants(self, dt_s: float) -> int:
         """Return how many instants of a log of spacing *dt_s* a history needs before now."""
         return math.ceil(self.sim.history_s / dt_s - _SAME_S)
 
-    def _starts(self, drive: LogScene) -> list[int]:
+    def _free_instants(self, drive: LogScene, least_future_s: float) -> list[int]:
+        """Return the instants, ``stride_s`` apart, at which SUMO can take the ego over."""
         stride = max(1, round(self.scene.stride_s / drive.tracks.dt_s))
         starts: list[int] = []
-        for k in self._due(drive):
+        for k in self._due(drive, least_future_s):
             due = not starts or k >= starts[-1] + stride
             if due and not self._hindrance(drive, k):
                 starts.append(k)

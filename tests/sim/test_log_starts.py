@@ -134,6 +134,22 @@ def cut(steps: int = STEPS, turned_rad: float = 0.0, aside_m: float = 0.0) -> On
     return log
 
 
+def test_a_log_starts_late_where_it_cannot_start_earlier(street: Path) -> None:
+    """With 6 s of future, starts are due from 2 to 3 s of 9 s: there the ego is askew in its lane."""
+    log = cut(19)
+    first_m = log.tracks.xy_m[0, 0, 0]
+    askew = log.tracks.times_s < 4.0
+    along_m = first_m + SPEED_MPS * log.tracks.times_s
+    log.tracks = replace(
+        log.tracks,
+        xy_m=np.stack((along_m, log.tracks.xy_m[0, :, 1]), -1)[None],
+        yaw_rad=np.where(askew, 0.2, 0.0)[None],
+        speed_mps=np.full((1, 19), SPEED_MPS),
+    )
+    scenes = list(replace(source(street, SPEED_MPS), reader=log).scenes())
+    assert [(scene.name, scene.horizon_s) for scene in scenes] == [("drive-008", 5.0), ("drive-012", 3.0)]
+
+
 @pytest.mark.parametrize(
     ("log", "words"),
     [

@@ -69,7 +69,8 @@ def read_scenarios(path: Path, target: str | None = None) -> Iterator[Scenario]:
     """
     imported = _imported(path)
     if imported is not None:
-        yield _scenario(path.name.split(".")[0], path, imported.tracks, imported.target, target)
+        ending = next(one for one in _EXPORTED if path.name.endswith(one))
+        yield _scenario(path.name.removesuffix(ending), path, imported.tracks, imported.target, target)
         return
     for scene in open_log(path).scenes():
         yield _scenario(scene.name, scene.source, scene.tracks, scene.ego, target)

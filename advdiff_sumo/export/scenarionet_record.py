@@ -159,7 +159,10 @@ def read_scenarionet(path: Path) -> ImportedScene:
         raise LogError(path, "no such file", "give a ScenarioNet record")
     log = ScenarioNetReader(path).read(path.stem)
     with reading(path, "a ScenarioNet record"):
-        rows = read_record(path)["tracks"]
+        record = read_record(path)
+        if record["metadata"].get("dataset") != DATASET:
+            return ImportedScene(log.tracks, log.ego)  # measured velocities jitter, also of who stands
+        rows = record["tracks"]
         velocity = np.array([np.asarray(rows[name]["state"]["velocity"], float) for name in log.tracks.ids])
         along = (velocity * unit(log.tracks.yaw_rad)).sum(axis=-1)
         speed = np.where(log.tracks.valid, along, np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import shapely
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, UnknownNameError
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data import ScenarioNetReader
+from advdiff_sumo.data.scenarionet_log import read_record
 from advdiff_sumo.export import (
     EXPORTERS,
     ExportScene,
@@ -81,6 +83,20 @@ def test_a_simulated_record_is_a_log_without_annotations(plain: ExportScene, tmp
     (path,) = make_exporter("scenarionet").write(replace(plain, tracks=tracks, target=0), tmp_path)
     log = ScenarioNetReader(path).read(path.stem)
     np.testing.assert_allclose(log.tracks.xy_m, tracks.xy_m, rtol=0.0, atol=1e-9)
+
+
+def test_speeds_of_a_measured_record_are_those_of_its_log(plain: ExportScene, tmp_path: Path) -> None:
+    """The velocities of who stands jitter in records of others; their places are calmed, and so are the speeds."""
+    tracks = tracks_of(
+        ("ego", AgentClass.CAR, (5.0, 1.8), straight(-90.0, -1.6, 0.0, 1.0, steps=101)),
+        ("stands", AgentClass.CAR, (5.0, 1.8), straight(-70.0, -1.6, 0.0, 0.0, steps=101)),
+    )
+    (path,) = make_exporter("scenarionet").write(replace(plain, tracks=tracks, target=0), tmp_path)
+    record = read_record(path)
+    record["metadata"]["dataset"] = "waymo"
+    record["tracks"]["stands"]["state"]["velocity"][::2, 0] = -0.5
+    path.write_bytes(pickle.dumps(record))
+    np.testing.assert_array_equal(import_scene(path).tracks.speed_mps[1], np.zeros(101))
 
 
 class Shifted(Csv):

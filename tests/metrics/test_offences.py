@@ -92,6 +92,11 @@ def test_reversing_counts_whenever_it_begins(road, begins) -> None:
     assert told(record, road) == [("reversing", round(0.1 * (begins + 5), 1))]
 
 
+def test_speeds_that_jitter_are_no_reversing(road) -> None:
+    """0.05 m back and forth, as in logs of who stands: backwards 0.25 m in all within a second, but never far."""
+    assert told(record_of(driven("ego", (-50, -1.6), 0, np.resize([-0.5, 0.5], 41))), road) == []
+
+
 @pytest.mark.parametrize("seconds", [1.0, 4.0])
 def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
     """Over on the lane of the opposite direction at y = 1.6, from 1 s on, for *seconds*."""

@@ -18,6 +18,7 @@ _SPEEDING_S = 0.5
 #: Driving backwards faster than this, for at least so far within a second, is reversing; jitter of a log is not.
 REVERSING_MPS = 0.1
 _REVERSED_M = 0.2
+_ROUNDING_M = 1e-9
 #: Slower than this, a vehicle off the road is a parked one.
 _OFF_ROAD_MPS = 0.5
 #: Approaching the other slower than this did not lead to the contact.
@@ -64,8 +65,9 @@ def reversing(view: TrafficView, met: Encounter, which: int) -> Breach | None:
 def drove_backwards(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
     """Return the breach of reversing at instants *start* to *stop* (exclusive)."""
     speed = view.tracks.speed_mps[row, start:stop]
-    back = -float(np.minimum(speed[speed < -REVERSING_MPS], 0.0).sum()) * view.tracks.dt_s
-    if back < _REVERSED_M:
+    counted = np.where((speed > 0.0) | (speed < -REVERSING_MPS), speed, 0.0)
+    way_m = np.concatenate(([0.0], np.cumsum(counted))) * view.tracks.dt_s
+    if (np.maximum.accumulate(way_m) - way_m).max() < _REVERSED_M - _ROUNDING_M:
         return None
     return Breach(BreachKind.REVERSING, row, view.time_s(stop - 1), "was reversing")
 

@@ -96,10 +96,20 @@ def _write_junit(path: Path, results: FolderRows, outcome: tuple[str, str | None
     check_junit(path)
     timing = {row["episode"]: row["wall_s"] for row in results.timing}
     lacking = results.how_to_go_on if results.missing else ""
+    names = _net_names(results.episodes, results.failures)
+    episodes, failures = (
+        [{**row, "net": names[str(row["net"])]} for row in rows]
+        for rows in (results.episodes, results.failures)
+    )
     try:
-        write_whole(path, junit_xml(results.episodes, results.failures, timing, outcome, lacking))
+        write_whole(path, junit_xml(episodes, failures, timing, outcome, lacking))
     except FileError as error:
         raise FileError(path, error.problem, _OTHER_JUNIT) from None
+
+
+def _net_names(*tables: Sequence[Row]) -> dict[str, str]:
+    """Return net → its name as one reads it, the same wherever the folder of the nets lies."""
+    return place_names(dict.fromkeys(str(row["net"]) for rows in tables for row in rows))
 
 
 def _gate(condition: Condition, overall: Figures) -> str | None:
@@ -172,7 +182,7 @@ def _print_rates(
         dispensable=(*_OF_RATES, "failed") if failures else ("failed", *_OF_RATES),
     )
     columns = ("target", "target_options", "background", "background_options", "net")
-    names = place_names(dict.fromkeys(str(row["net"]) for row in (*episodes, *failures)))
+    names = _net_names(episodes, failures)
     for key, figures in by_kind(episodes, failures, columns).items():
         target, target_options, background, background_options, net = key
         table.add_row(

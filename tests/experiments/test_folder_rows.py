@@ -97,6 +97,19 @@ def test_episodes_that_have_not_been_run_are_an_error_in_junit(tmp_path: Path) -
     assert told.get("message") == f"2 episodes have not been run; {again} runs them"
 
 
+def test_junit_calls_its_cases_alike_wherever_the_net_lies(tmp_path: Path) -> None:
+    """A server that builds in another folder each time follows a case by its class."""
+    classes = []
+    for workspace in ("build-1", "build-2"):
+        place = tmp_path / workspace
+        place.mkdir()
+        run_of(place, 1, 1).consolidate(finished=True)
+        gate(rows_of_folder(place / "run"), "failures > 9", place / "j.xml")
+        case = next(parse(place / "j.xml").getroot().iter("testcase"))  # noqa: S314 - our own file
+        classes.append(case.get("classname"))
+    assert classes == ["crossing-priority · IDM · sumo · seed 0"] * 2
+
+
 @pytest.mark.parametrize(("junit", "why"), [("file/j.xml", ".*exists"), (".", "it is a folder")])
 def test_junit_that_cannot_be_written_is_one_sentence_behind_the_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], junit: str, why: str

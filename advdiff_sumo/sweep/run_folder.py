@@ -291,4 +291,4 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def _reason(error: FileError) -> str:
-    return str(error).partition("(")[2].rpartition(")")[0] or str(error)
+    return error.problem.partition("(")[2].rpartition(")")[0] or error.problem

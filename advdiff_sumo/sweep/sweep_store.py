@@ -20,6 +20,7 @@ from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
 from advdiff_sumo.sweep.sweep_files import (
+    DiskFullError,
     read_checked,
     unwritable,
     with_earlier,
@@ -62,7 +63,13 @@ class Store:
             raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise FileError(path, "is there already and no empty folder", "choose a new --out")
-        return Store(path)._begin(settings, ballast_bytes)
+        try:
+            return Store(path)._begin(settings, ballast_bytes)
+        except DiskFullError:
+            for folder in (path / _EPISODES, path / _SCENES, path):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+            raise FileError(path, "the disk is full", "free some space, or choose another --out") from None
 
     @staticmethod
     def resume(path: Path, spec: SweepSpec | None, settings: Mapping[str, Any], ballast_bytes: int) -> Store:

@@ -18,6 +18,8 @@ from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS
 from advdiff_sumo.sim.run_store import TABLES, episode_tables
 from advdiff_sumo.sweep.run_folder import FAILURES, RunFolder
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
+from advdiff_sumo.sweep.sweep_files import DiskFullError
+from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 from tests.sim.test_run_store import TIMING, record
 
@@ -132,6 +134,18 @@ def test_a_path_that_cannot_be(tmp_path: Path) -> None:
         with pytest.raises(FileError, match=r"cannot be written .*; choose another --out"):
             RunFolder.create(path, settings(), resume=False)
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_full_disk_is_one_reason_and_one_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(store: Store, ballast_bytes: int) -> None:
+        raise DiskFullError(store.path)
+
+    monkeypatch.setattr(Store, "prepare", full)
+    with pytest.raises(FileError) as told:
+        RunFolder.create(tmp_path / "run", settings(), resume=False)
+    assert (
+        str(told.value) == f"{tmp_path / 'run'}: cannot be written (the disk is full); choose another --out"
+    )
 
 
 def test_discard_takes_away_what_was_made_and_no_more(tmp_path: Path) -> None:

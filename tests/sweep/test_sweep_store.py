@@ -108,6 +108,24 @@ def test_room_is_kept_back_and_given_back(tmp_path: Path) -> None:
     assert sorted(path.name for path in store.path.iterdir()) == ["episodes", "sweep.toml"]
 
 
+def test_no_room_for_a_new_sweep_leaves_nothing_behind(tmp_path: Path) -> None:
+    """There would be nothing to resume, and the same command would be refused for the rest of it."""
+    script = (
+        "import resource, sys; from pathlib import Path\n"
+        "from advdiff_sumo.core.errors import FileError\n"
+        "from advdiff_sumo.sweep.sweep_store import Store\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try: Store.create(Path(sys.argv[1]), {}, 5000)\n"
+        "except FileError as error: print(error)\n"
+    )
+    path = tmp_path / "s"
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True, timeout=HANG_S
+    )
+    assert done.stdout.strip() == f"{path}: the disk is full; free some space, or choose another --out"
+    assert not path.exists()
+
+
 def test_no_room_leaves_the_old_file_and_no_rest(tmp_path: Path) -> None:
     path = tmp_path / "file"
     write_checked(path, b"old")

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.errors import PlanRefusedError
-from advdiff_sumo.core.plan import Plan
+from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.tracking import State, drive_plan
@@ -117,7 +118,7 @@ class PlannerDrive:
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
-        self.actuator.predict_route(row, self._expected_route())
+        self.actuator.predict_route(row, self._expected_route(state, plan))
 
     def _plan(self, view: Scene) -> Plan:
         begun = time.perf_counter()
@@ -158,14 +159,41 @@ class PlannerDrive:
         """Return its remaining edges."""
         return self.route
 
-    def _expected_route(self) -> tuple[str, ...]:
-        """Return its remaining edges; off its route those over which its plan leads, and a guess beyond."""
+    def _expected_route(self, state: State, plan: Plan) -> tuple[str, ...]:
+        """Return its remaining edges; where its plan leads off them those of the plan, and a guess beyond.
+
+        Args:
+            state: where it is now.
+            plan: what it is about to drive.
+        """
         if self._off_route is None or self._states is None:
-            return self.route_ahead()
+            turn = self._turn_off_route(*self._planned_poses(state, plan))
+            return guessed_route(self.road, self.row, self.route[0], turn) if turn else self.route_ahead()
         xy, yaw = self._states[0][-1], float(self._states[1][-1])
         end = self.road.locate(xy, yaw)
         last = self._off_route if end is None else self.road.edge_of(end.lane_id)
         return guessed_route(self.road, self.row, self._off_route, last)
+
+    def _planned_poses(self, state: State, plan: Plan) -> tuple[FloatArray, FloatArray]:
+        """Return (N, 2) points and (N,) headings of all of *plan*, a model step apart."""
+        if isinstance(plan, Trajectory):
+            xy, yaw, dt_s = plan.xy_m, plan.yaw_rad, plan.dt_s
+        else:
+            dt_s = self.sim.step_s
+            count = round(len(plan.accel_mps2) * plan.dt_s / dt_s)
+            xy, yaw, _ = drive_plan(state, plan, self.world.size_m[self.row, 0], dt_s, count, Limits())
+        every = max(1, round(self.sim.model_step_s / dt_s))
+        return xy[every - 1 :: every], yaw[every - 1 :: every]
+
+    def _turn_off_route(self, xy_m: FloatArray, yaw_rad: FloatArray) -> str:
+        """Return the edge onto which these poses turn where the route turns elsewhere; "" while they keep to it."""
+        elsewhere = {edge for here in self.route[:-1] for edge in self.road.edges[here].successors}
+        for xy, yaw in zip(xy_m, yaw_rad, strict=True):
+            pose = self.road.locate(xy, float(yaw), route=self.route)
+            edge = "" if pose is None else self.road.edge_of(pose.lane_id)
+            if edge not in self.route:
+                return edge if edge in elsewhere else ""
+        return ""
 
     def _find_place(self) -> None:
         """Drop the edges that lie behind, and notice the end of the route and whether this is off it."""

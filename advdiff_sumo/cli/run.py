@@ -99,8 +99,11 @@ def run(
 
     prepared = Run.prepare(options, gui)
     notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
+    before = read_toml(begun).get("run", {}) if begun else {}
     folder = _folder(prepared, out, resume)
     console = terminal(quiet=quiet or as_json)
+    if begun:
+        tell_changed_code(read_toml(begun)["run"], before)
     print_notes(console, notes)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
@@ -155,6 +158,24 @@ def _tell_outcome(
         print_json(run_object(folder.path))
     if len(failures) == count:
         raise typer.Exit(_FAILED)
+
+
+def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
+    """Say of which planners and policies the code is not that of the episodes which are there already.
+
+    Args:
+        now: versions and digests of code.
+        before: those that the folder was begun with.
+    """
+    from advdiff_sumo.sweep.sweep_files import changed_code  # late, as above
+
+    for name in changed_code(now, before):
+        terminal(stderr=True).print(
+            f"note: the file of {name} has changed since this was begun, and what had finished then stays; "
+            "choose a new --out to have all of one code",
+            style="yellow",
+            soft_wrap=True,
+        )
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:

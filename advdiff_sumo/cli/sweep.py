@@ -12,6 +12,7 @@ from rich.console import Console
 from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
+from advdiff_sumo.cli.run import tell_changed_code
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
 from advdiff_sumo.cli.terminal import Bars, counted, print_json, terminal
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
@@ -59,7 +60,7 @@ def sweep(
     from advdiff_sumo.cli.summary import note_old_report, run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
-    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
+    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, settings_of
     from advdiff_sumo.sweep.sweep_store import Store
 
     worker.end_as_by_ctrl_c()
@@ -80,6 +81,8 @@ def sweep(
         if junit is not None:
             check_junit(junit)
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
+        if begun is not None:
+            tell_changed_code(settings_of(plan)["made_by"], begun.made_by())
         store = open_store(
             resume or out or _new_folder(console, file), plan, done_by.slots, resume is not None
         )

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import inspect
 import re
+import sys
 import sysconfig
 import traceback
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import CodeType
@@ -13,6 +17,7 @@ from types import CodeType
 _OURS = str(Path(__file__).parents[1])
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
 _INSTALLED = {"site-packages", "dist-packages"}
+_SERVERS = ("exec", "grpc")
 
 
 def described(error: BaseException) -> str:
@@ -60,6 +65,27 @@ def crashed_at(stack: str) -> str:
     """Return the same of the stack that Python's fault handler wrote, its innermost call first."""
     calls = ((file, line, name) for file, line, name in _CALL.findall(stack) if not _is_library(file))
     return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
+
+
+def code_digests(names: Iterable[str]) -> dict[str, str]:
+    """Return "package.module:Class" → digest of the file of that module, for each of *names* that has one.
+
+    Modules that it imports in turn are not looked at; built-ins and servers have no such file.
+    """
+    files = {name: _file_of(name.partition(":")[0]) for name in sorted(set(names)) if ":" in name}
+    return {name: hashlib.sha256(file.read_bytes()).hexdigest()[:16] for name, file in files.items() if file}
+
+
+def _file_of(module: str) -> Path | None:
+    if module in _SERVERS:
+        return None
+    loaded = sys.modules.get(module)
+    try:
+        found = None if loaded else importlib.util.find_spec(module)
+    except (ImportError, ValueError, AttributeError):
+        return None
+    name = getattr(loaded, "__file__", None) or (found and found.origin)
+    return Path(name) if name and Path(name).is_file() else None
 
 
 def _unwrapped(plug_in: object) -> object:

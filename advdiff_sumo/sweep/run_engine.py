@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.plug_in_source import code_digests
 from advdiff_sumo.data.run_tables import RUN_SETTINGS
 from advdiff_sumo.planners.planner_protocol import Planner
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -19,7 +20,7 @@ from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 def run_settings(run: Run) -> dict[str, Any]:
     """Return what ``run.toml`` holds: all that is needed to repeat the run, and a digest of its files."""
     settings = run.settings
-    return {**settings, "run": {**settings["run"], "inputs": run_inputs(run)}}
+    return {**settings, "run": {**settings["run"], **code_digests(run.names), "inputs": run_inputs(run)}}
 
 
 def stored_run(folder: Path, planner: Planner | None = None) -> Run:

@@ -78,6 +78,12 @@ def checksum_of(path: Path) -> str:
         return ""
 
 
+def changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
+    """Return the planners and policies of whose files the versions *now* and *before* tell different digests."""
+    begun = {**before, **before.get("begun_with", {})}
+    return [name for name in now if ":" in name and begun.get(name, now[name]) != now[name]]
+
+
 def with_earlier(settings: Mapping[str, Any], table: str, before: Mapping[str, Any]) -> dict[str, Any]:
     """Return *settings* with the versions that *before*, the same file so far, was begun with where these differ.
 

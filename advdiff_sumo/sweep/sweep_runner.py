@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from advdiff_sumo.core.plug_in_source import code_digests
 from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
@@ -79,7 +80,8 @@ class EpisodeCount:
 def settings_of(plan: SweepPlan) -> dict[str, Any]:
     """Return what ``sweep.toml`` holds."""
     return {
-        "made_by": versions(),
+        "made_by": versions()
+        | code_digests(name for one in plan.cells for name in (one.target, one.background)),
         "keys": plan.keys,
         "sweep": plan.spec.model_dump(mode="json", exclude_none=True),
     }

@@ -83,7 +83,7 @@ class Store:
         if spec is not None:
             must_equal(path, begun.spec(), spec)
         begun.must_match(str(settings.get("keys", "")))
-        settings = with_earlier(settings, "made_by", read_toml(path / SWEEP_SETTINGS))
+        settings = with_earlier(settings, "made_by", {"made_by": begun.made_by()})
         return Store(path)._begin(settings, ballast_bytes)
 
     @staticmethod
@@ -113,6 +113,15 @@ class Store:
                 self.path / SWEEP_SETTINGS, "has no [sweep]", "it is damaged; begin again with a new --out"
             )
         return SweepSpec.of(asked, str(self.path / SWEEP_SETTINGS))
+
+    def made_by(self) -> Mapping[str, Any]:
+        """Return the versions and the digests of code that it was made with, and under ``begun_with`` earlier ones.
+
+        Raises:
+            InputError: ``sweep.toml`` is damaged.
+        """
+        made_by: Mapping[str, Any] = read_toml(self.path / SWEEP_SETTINGS).get("made_by", {})
+        return made_by
 
     def must_match(self, keys: str) -> None:
         """Refuse the folder when what the keys of its episodes are made of has changed since.

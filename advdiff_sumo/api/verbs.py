@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from multiprocessing import current_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -123,6 +124,11 @@ def sweep(
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 
+    if getattr(current_process(), "_inheriting", False):  # the flag by which multiprocessing itself tells
+        raise ConfigError(
+            "ads.sweep was called by a worker of another sweep, which imports the script anew; "
+            'call it below if __name__ == "__main__":'
+        )
     asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
     plan = plan_sweep(asked, places=True)
     name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem

@@ -41,6 +41,7 @@ class LoggedTraffic:
         scene: the stride, and how fast the ego must be.
         sim: steps and radii.
         seed: the source's node of the seed tree.
+        late: whether drives that give no start with 6 s of the log to come begin with less.
     """
 
     road: RoadMap
@@ -48,6 +49,7 @@ class LoggedTraffic:
     scene: SceneOptions
     sim: SimOptions
     seed: SeedTree
+    late: bool = True
 
     def scenes(self) -> Iterator[SeedScene]:
         """Yield the seed scenes in the log's order; the first instants of all drives before the second ones.
@@ -80,10 +82,10 @@ class LoggedTraffic:
     def _starts(self, drives: list[LogScene]) -> tuple[list[list[int]], int]:
         """Return each drive's starts at which the ego is fast enough to be tested, and how many others there are.
 
-        Starts with less than ``_MIN_FUTURE_S`` of the log after them count only if no drive has another one.
+        With ``late``, starts with less than ``_MIN_FUTURE_S`` of the log to come count where no drive has another one.
         """
         moving, standing = [list[int]() for _ in drives], 0
-        for future_s in (_MIN_FUTURE_S, _SHORTEST_FUTURE_S):
+        for future_s in (_MIN_FUTURE_S, _SHORTEST_FUTURE_S) if self.late else (_MIN_FUTURE_S,):
             free = [self._free_instants(drive, future_s) for drive in drives]
             moving = [
                 [k for k in instants if self._is_moving(drive, k)]

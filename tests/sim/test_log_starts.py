@@ -146,8 +146,10 @@ def test_a_log_starts_late_where_it_cannot_start_earlier(street: Path) -> None:
         yaw_rad=np.where(askew, 0.2, 0.0)[None],
         speed_mps=np.full((1, 19), SPEED_MPS),
     )
-    scenes = list(replace(source(street, SPEED_MPS), reader=log).scenes())
-    assert [(scene.name, scene.horizon_s) for scene in scenes] == [("drive-008", 5.0), ("drive-012", 3.0)]
+    logged = replace(source(street, SPEED_MPS), reader=log)
+    starts = [(scene.name, scene.horizon_s) for scene in logged.scenes()]
+    assert starts == [("drive-008", 5.0), ("drive-012", 3.0)]
+    assert list(replace(logged, late=False).scenes()) == []
 
 
 @pytest.mark.parametrize(

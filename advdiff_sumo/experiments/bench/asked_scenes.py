@@ -111,8 +111,9 @@ def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[st
 
 
 def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:
-    """Return how many episodes can begin on *road*."""
-    return sum(1 for _ in LoggedTraffic(road, reader, options, SimOptions(), SeedTree(0)).scenes())
+    """Return how many episodes can begin on *road* with the whole window to come, or what a short log has of it."""
+    traffic = LoggedTraffic(road, reader, options, SimOptions(), SeedTree(0), late=False)
+    return sum(1 for _ in traffic.scenes())
 
 
 def asked_scenes(request: Request, name: str, folder: Path | None) -> SceneList:

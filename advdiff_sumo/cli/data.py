@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import progress_bar, terminal
+from advdiff_sumo.cli.terminal import counted, progress_bar, terminal
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
 
@@ -95,7 +95,7 @@ def _simulate(options: SimulateOptions, out: Path, workers: int) -> None:
 
         results = simulate(plan(options), out, workers, tell)
     total = sum(result.windows for result in results)
-    _say.print(f"{out}: {total} windows in {len(results)} files")
+    _say.print(f"{out}: {counted(total, 'window')} in {counted(len(results), 'file')}")
     if total < options.windows:
         _say.print("note: traffic on small nets brought fewer windows than asked for")
 

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from advdiff_sumo.cli.terminal import counted
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
 from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
@@ -34,7 +35,7 @@ def print_summary(
     tables = RunTables(folder)
     rows, timing = tables.all_episodes(), tables.rows("timing").to_pylist()
     table = Table(
-        title=f"{len(rows)} episodes, rates with 95 % Wilson intervals",
+        title=f"{counted(len(rows), 'episode')}, rates with 95 % Wilson intervals",
         title_justify="left",
         show_header=False,
     )
@@ -42,7 +43,7 @@ def print_summary(
         table.add_row(name, value)
     console.print(table)
     if missing > 0:
-        console.print(f"the log held {missing} seed scenes fewer than asked for", style="yellow")
+        console.print(f"the log held {counted(missing, 'seed scene')} fewer than asked for", style="yellow")
     total = len({row["episode"] for row in (*rows, *failures)})  # who died without a word has no row
     for failure, count in _distinct(failures):
         sentence = f"failed, {count} of {total}: {failure['kind']}: {failure['message']}"

@@ -144,11 +144,11 @@ def condition_met(condition: Condition, named: Mapping[str, float | None]) -> st
 def _print(console: Console, results: FolderRows, overall: Figures) -> None:
     episodes, failures = results.episodes, results.failures
     _print_rates(console, episodes, failures, overall)
-    counted = [row for row in episodes if has_outcome(row)]
-    for what, where in (*position_lines(counted), *plan_lines(episodes)):
+    finished = [row for row in episodes if has_outcome(row)]
+    for what, where in (*position_lines(finished), *plan_lines(episodes)):
         console.print(f"{what} {where}", soft_wrap=True)
     if overall.missing:
-        console.print(f"{overall.missing} episodes have not been run", style="yellow")
+        console.print(f"{counted(overall.missing, 'episode')} not run yet", style="yellow")
     if failures:
         _print_failures(console, failures)
     clusters = findings(episodes)

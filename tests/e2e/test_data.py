@@ -23,7 +23,7 @@ def test_simulate_then_stats(tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     assert done.code == 0, done.err
-    assert done.out.startswith("w: 12 windows in 1 files")
+    assert done.out.startswith("w: 12 windows in 1 file")
     assert done.err == ""
     said = advdiff("data", "stats", "w", "--json", cwd=tmp_path)
     figures = json.loads(said.out)

@@ -136,7 +136,7 @@ def test_no_bar_and_no_colour_in_a_pipe(here: Callable[..., Outcome], workplace:
     done = here(*RUN, "--episodes", 1, "--out", "run")
     assert "━" not in done.out + done.err
     assert "\x1b" not in done.out + done.err
-    assert "1 episodes, rates" in done.out
+    assert "1 episode, rates" in done.out
 
 
 @pytest.mark.parametrize(

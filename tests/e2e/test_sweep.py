@@ -108,7 +108,7 @@ def _tables_catch_up(sweep: Path, key: str, here: Callable[..., Outcome]) -> Non
     (episode,) = sweep.glob(f"episodes/*/{key}")
     kept = episode.read_bytes()
     episode.unlink()
-    assert "1 episodes have not been run" in here("results", sweep).out
+    assert "1 episode not run yet" in here("results", sweep).out
     episode.write_bytes(kept)
     assert here("report", sweep).code == 0
     assert ads.load(sweep).summary().figures["episodes"] == 6

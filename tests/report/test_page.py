@@ -227,7 +227,7 @@ def test_the_player_of_an_episode_tells_of_it_alone(make_folder: Callable[..., P
     text = Outline(load(folder).episode(0).player().page).text
     assert "0.0 % 0 of 1 episodes" in text
     assert "1 of 3 episodes" not in text
-    assert "Run run-1: 1 episodes" in text
+    assert "Run run-1: 1 episode of" in text
 
 
 def test_failure_without_states(make_folder: Callable[..., Path], rows: Any) -> None:

@@ -17,6 +17,9 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, queue_comes
 
+_TRIES_AGAIN_S = 1.0
+"""When a queue for which there was no room is tried again, further on."""
+
 
 def advance(
     view: SituationView, kept: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
@@ -80,6 +83,8 @@ def _still_standing(view: SituationView, kept: Commitments) -> Commitments:
         len(set(before.names) - view.scene.history.index.keys()) if now - before.since_s <= PLAN_DT_S else 0
     )
     stage = replace(kept.stage, most=kept.stage.most + lacking)  # others may come in in their place
+    if lacking and not standing.members:
+        standing = replace(standing, again_s=now + _TRIES_AGAIN_S)
     agenda = kept.agenda if standing.members else kept.agenda.without(before.kind, now)
     return replace(kept, standing=standing, stage=stage, agenda=agenda)
 

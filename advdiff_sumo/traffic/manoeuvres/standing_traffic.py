@@ -104,9 +104,8 @@ def queue_comes(
     )
     if not members:
         return standing, stage
-    return StandingTraffic(QUEUE, members, now, now + _LASTS_S + _PAUSE_S), replace(
-        stage, count=stage.count + len(members)
-    )
+    queue = StandingTraffic(QUEUE, members, now, now + _LASTS_S + _PAUSE_S)
+    return queue, replace(stage, count=stage.count + len(members))
 
 
 def can_queue(view: SituationView) -> bool:
@@ -173,11 +172,12 @@ def _lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
 def _abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
     """Yield *lane* and those beside it that are driven the same way."""
     yield lane
-    for side in ("left_id", "right_id"):
-        name = getattr(lane, side)
-        while name is not None and view.road.lanes[name].is_drivable:
-            yield view.road.lanes[name]
-            name = getattr(view.road.lanes[name], side)
+    lanes = view.road.lanes
+    for to_left in (True, False):
+        beside = lane.left_id if to_left else lane.right_id
+        while beside is not None and lanes[beside].is_drivable:
+            yield lanes[beside]
+            beside = lanes[beside].left_id if to_left else lanes[beside].right_id
 
 
 def _is_over(view: SituationView, members: tuple[Newcomer, ...], kind: str) -> bool:

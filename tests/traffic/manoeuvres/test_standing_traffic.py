@@ -164,6 +164,7 @@ def test_a_queue_without_room_gives_its_turn_and_its_vehicles_back(there: bool, 
     assert after.standing.members == queue.members
     assert after.agenda.now == ("queue" if there else "cut-in")
     assert after.stage.most == STAGE.most + (0 if there else count)
+    assert after.standing.again_s == (40.0 if there else 1.5)  # it is tried again a second later
 
 
 def test_nobody_else_attacks_at_a_queue(motorway: RoadMap) -> None:

@@ -48,7 +48,7 @@ def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -
     assert [row["critical"] for row in before[0]] == [False, False, True]
     done = here("verdict", collided, "--workers", "2")
     assert done.code == 0, done.err
-    assert "2 collisions of the target: 1 valid failures" in done.out
+    assert "2 collisions of the target: 1 valid failure\n" in done.out
     assert (table(collided), table(collided, "collisions")) == before
     told = json.loads(here("verdict", collided, "--workers", "1", "--json").out)
     assert (told["episodes"], told["valid_failures"], told["collisions"]) == (3, 1, 2)

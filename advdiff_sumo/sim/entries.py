@@ -86,7 +86,5 @@ def have_room(new: State, others: State) -> BoolArray:
     follows = (offset * unit(others[1])).sum(axis=-1) > 0.0
     follows &= np.cos(new[1][:, None] - others[1]) > _SAME_WAY
     closing = np.maximum(others[2] - new[2][:, None], 0.0) * follows
-    near = (
-        apart < _APART_M + closing + 0.5 * closing**2 / _STOPS_MPS2
-    )  # a second to react; NaN compares as False
-    return np.asarray(~near.any(axis=1))
+    stops = closing + 0.5 * closing**2 / _STOPS_MPS2  # after a second to react
+    return np.asarray(~(apart < _APART_M + stops).any(axis=1))  # NaN compares as False

@@ -120,6 +120,14 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
     (folder / "endless.py").write_text(ENDLESS)
     words = ("--target", "endless:Endless", "--background", "replay", *TINY, "--out", "new/run")
     running = begin("run", "--net", "grid.net.xml", *words, cwd=folder)
+    said = _interrupted_while_it_plans(running, folder)
+    assert running.returncode == 130
+    assert said.splitlines() == ["interrupted before anything had finished; no folder is left"]
+    assert not (folder / "new").exists()
+
+
+def _interrupted_while_it_plans(running: subprocess.Popen[str], folder: Path) -> str:
+    """Return what *running* says when it is interrupted once ``Endless`` plans in *folder*."""
     until = time.monotonic() + HANG_S
     while not (folder / "began").exists():
         assert running.poll() is None, running.communicate()
@@ -127,9 +135,7 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
         time.sleep(0.02)
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=HANG_S)
-    assert running.returncode == 130
-    assert said.splitlines() == ["interrupted before anything had finished; no folder is left"]
-    assert not (folder / "new").exists()
+    return said
 
 
 @pytest.mark.slow
@@ -177,11 +183,5 @@ def test_ctrl_c_in_a_dry_run_keeps_nothing(grid: Path, tmp_path: Path) -> None:
     scene = "[scene]\nwarmup_s = 10.0\nscenes_per_warmup = 1\nmin_neighbours = 1\n"
     (folder / "long.toml").write_text(f"episodes = 1\nhorizon_s = 4.0\n{case}{scene}")
     running = begin("sweep", "long.toml", "--dry-run", cwd=folder)
-    until = time.monotonic() + HANG_S
-    while not (folder / "began").exists():
-        assert running.poll() is None, running.communicate()
-        assert time.monotonic() < until
-        time.sleep(0.02)
-    running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=HANG_S)
+    said = _interrupted_while_it_plans(running, folder)
     assert (running.returncode, said.splitlines()) == (130, ["interrupted; a dry run keeps nothing"])

@@ -22,8 +22,8 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AS_GOOD_AS_STANDS_MPS,
+    ENDS_STANDING,
     KINDS,
-    STOPPING_KINDS,
     crossing_on,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -31,7 +31,6 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 _LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
 _LONGEST_DEFAULT_S = 7.0
-_ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 _OVER_LINE_M, _IN_WAY_M = 0.2, 1.2
 
 
@@ -69,7 +68,7 @@ def _continued(
     longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
     if row is None or under_way.sets_up or passed >= longest:
         return None
-    if under_way.kind in _ENDS_STANDING and _target_stands(view) and view.speed(row) < AS_GOOD_AS_STANDS_MPS:
+    if under_way.kind in ENDS_STANDING and _target_stands(view) and view.speed(row) < AS_GOOD_AS_STANDS_MPS:
         return None  # both stand: the question is answered
     if under_way.kind in KEEP_OFF and not _is_ahead(view, row):
         return None  # the target has left its lane, or is past it

@@ -17,9 +17,8 @@ from advdiff_sumo.traffic.manoeuvres.answers import (
 )
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
+from advdiff_sumo.traffic.manoeuvres.repertoire import ENDS_STANDING
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-
-_STOPPING_KINDS = ("hard-stop", "blocked-lane", "cut-in")
 
 
 def demanded_braking(
@@ -37,7 +36,7 @@ def demanded_braking(
     asks_s = np.array([m.asks_s(now[m.row]) for m in manoeuvres])
     needed = needed_braking(target, *_obstacles(view, manoeuvres, futures), asks_s)
     for k, manoeuvre in enumerate(manoeuvres):
-        if manoeuvre.kind in _STOPPING_KINDS and _stops(manoeuvre):
+        if manoeuvre.kind in ENDS_STANDING and _stops(manoeuvre):
             stops_m = float(
                 futures.driven_m[k, -1] - 0.5 * futures.speed_mps[k, -1] ** 2 / manoeuvre.profile.then_mps2
             )

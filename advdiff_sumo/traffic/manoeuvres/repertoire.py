@@ -22,6 +22,8 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 STOPPING_KINDS = ("hard-stop", "blocked-lane")
 """Kinds that end in a stop in the lane."""
+ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
+"""Kinds after which who drove them may stand in the target's lane."""
 HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
 HEAVY_MPS2 = 7.0

@@ -25,7 +25,8 @@ NEAR_M = 70.0
 _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
-_BEYOND_M = 40.0
+BEYOND_M = 40.0
+"""So far beyond where somebody comes in the road goes on."""
 _PAST = 3  # places that tell how fast somebody moves sideways
 
 
@@ -180,7 +181,7 @@ class SituationView:
     def far(self, way: Way, reach_m: float) -> Way:
         """Return the target's *way*, or one beside it, as far as *reach_m* ahead and some more."""
         lane, route = way.lane, self.scene.routes[self.scene.target]
-        reach_m += _BEYOND_M
+        reach_m += BEYOND_M
         return Way(lane_ahead(self.road.lanes, lane.lanes[0], lane.s_m, 0.0, route, reach_m))
 
     def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS, Approach, approaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S
-from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
@@ -37,7 +37,6 @@ _LEAST_AHEAD_M, _SPARE_M, _NEARLY_M = 22.0, 3.0, 10.0
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
-_BEYOND_M = 40.0
 _MEETS_S, _CLEAR_M = 4.0, 3.0
 _LEAST_HIDES_M, _FASTEST_HIDING_MPS = 18.5, 17.0
 _HIDDEN_S = 5.0
@@ -125,21 +124,20 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
         newcomers: who comes in.
         attack: who can attack.
     """
-    if not newcomers:
-        return JointPlan(tracks, attack=attack)
     driven = PLAN_DT_S * np.arange(1.0, PLAN_STEPS + 1.0)
     poses = [one.way.poses(one.speed_mps * driven, driven) for one in newcomers]
-    more = tracks_of_newcomers(newcomers, poses, tracks.t0_s)
-    joined = tracks.joined(more) if tracks.agents else more
-    return JointPlan(joined, attack=attack, routes={one.name: one.route for one in newcomers})
+    return with_newcomers(JointPlan(tracks, attack=attack), newcomers, poses)
 
 
-def tracks_of_newcomers(
-    newcomers: Sequence[Newcomer], poses: Sequence[tuple[FloatArray, FloatArray]], t0_s: float
-) -> Tracks:
-    """Return *newcomers* at centres (T, 2) and headings (T,) each from *t0_s* on, each at its speed."""
+def with_newcomers(
+    plan: JointPlan, newcomers: Sequence[Newcomer], poses: Sequence[tuple[FloatArray, FloatArray]]
+) -> JointPlan:
+    """Return *plan* with *newcomers* at centres (T, 2) and headings (T,) each, as long as its tracks, if it has any."""
+    if not newcomers:
+        return plan
+    tracks = plan.tracks
     yaw = np.stack([angles for _, angles in poses])
-    return Tracks(
+    more = Tracks(
         ids=tuple(one.name for one in newcomers),
         classes=np.array([int(one.agent_class) for one in newcomers]),
         size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
@@ -147,9 +145,11 @@ def tracks_of_newcomers(
         yaw_rad=yaw,
         speed_mps=np.repeat([[one.speed_mps] for one in newcomers], yaw.shape[1], axis=1),
         valid=np.ones(yaw.shape, dtype=np.bool_),
-        t0_s=t0_s,
+        t0_s=tracks.t0_s,
         dt_s=PLAN_DT_S,
     )
+    routes = {**plan.routes, **{one.name: one.route for one in newcomers}}
+    return replace(plan, tracks=tracks.joined(more) if tracks.agents else more, routes=routes)
 
 
 def begins(view: SituationView) -> bool:
@@ -224,7 +224,7 @@ def _on_way(
     view: SituationView, way: Way, ahead_m: float, speed_mps: float, agent_class: AgentClass
 ) -> Iterator[Newcomer]:
     """Somebody *ahead_m* further along *way*, on no junction, before no red light and not at the road's end."""
-    if ahead_m + _BEYOND_M > way.lane.end_m:
+    if ahead_m + BEYOND_M > way.lane.end_m:
         return
     if any(reach < ahead_m + 10.0 and view.signal(link) in _NO_PLACE_BEFORE for reach, link in way.links):
         return

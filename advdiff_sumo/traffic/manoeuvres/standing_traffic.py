@@ -17,9 +17,9 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_S
-from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, SituationView
+from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, NEAR_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, PLAN_STEPS
-from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, tracks_of_newcomers
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, with_newcomers
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead
 
@@ -27,11 +27,11 @@ QUEUE = "queue"
 """The kind of attack of who is the end of a queue."""
 _FASTEST_CLOSING_MPS, _STOPS_MPS2 = 22.0, 4.0
 """How fast the target comes up to them at most: a careful driver who sees them at 80 m then brakes with 4 m/s²."""
-_SLOWEST_TARGET_MPS = 10.0
+_LEAST_SPEED_MPS = 10.0
 _OUT_OF_SIGHT_M, _LENGTHS_M = 90.0, 8.0
 _LASTS_S, _PAUSE_S = 20.0, 20.0
 _LAST_S: Mapping[str, float] = {QUEUE: _LASTS_S, "cut-out": 60.0}
-_ROOM_M, _STAGGER_M = 40.0, 3.0
+_STAGGER_M = 3.0
 _CLOSED_UP_MPS = 0.5
 _FREE_M, _FREE_S, _IN_LANE_M = 8.0, 1.0, 2.0
 
@@ -117,29 +117,21 @@ def with_standing(plan: JointPlan, standing: StandingTraffic, time_s: float) -> 
     """Return *plan*, made at *time_s*, with those members of *standing* whom it does not move already."""
     tracks = plan.tracks
     members = [one for one in standing.members if one.name not in tracks.index]
-    if not members:
-        return plan
     steps = tracks.steps if tracks.agents else PLAN_STEPS
     times = time_s + PLAN_DT_S * np.arange(1.0, steps + 1.0)
-    more = tracks_of_newcomers(members, [standing.poses(one, times) for one in members], tracks.t0_s)
-    routes = {**plan.routes, **{one.name: one.route for one in members}}
-    return replace(plan, tracks=_joined(tracks, more), routes=routes)
-
-
-def _joined(tracks: Tracks, more: Tracks) -> Tracks:
-    return tracks.joined(more) if tracks.agents else more
+    return with_newcomers(plan, members, [standing.poses(one, times) for one in members])
 
 
 def _places(view: SituationView) -> list[Newcomer]:
     """Return who stands, or crawls, on each lane ahead, on the target's first; nobody where there is no room."""
     target = view.target
-    if target is None or target.speed_mps < _SLOWEST_TARGET_MPS or not view.is_first(NEAR_M):
+    if target is None or target.speed_mps < _LEAST_SPEED_MPS or not view.is_first(NEAR_M):
         return []
     crawls = max(target.speed_mps - _FASTEST_CLOSING_MPS, 0.0)
     ahead, drives = _ahead_m(target.speed_mps - crawls), crawls * _LASTS_S
     way = view.far(target.way, ahead + drives)
     waits = any(
-        reach < ahead + _ROOM_M and (link.yields or link.tls_id is not None) for reach, link in way.links
+        reach < ahead + BEYOND_M and (link.yields or link.tls_id is not None) for reach, link in way.links
     )
     there, s = _lane_at(way, way.lane.s_m + ahead)
     if waits or way.lane.end_m < ahead + drives or there.is_internal:

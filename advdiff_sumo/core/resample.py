@@ -16,7 +16,8 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Tracks
 
-_SAME_S = 1e-9  # instants closer than this are one instant
+SAME_S = 1e-9
+"""Instants closer than this are one instant."""
 _MONOTONE = 3.0  # Fritsch and Carlson's bound on end slope / mean slope
 _STILL_MPS = 0.2  # below it the direction of motion is noise
 
@@ -99,7 +100,7 @@ class _Curve:
         known = np.flatnonzero(tracks.valid[row])
         t, xy, yaw = tracks.times_s[known], tracks.xy_m[row, known], tracks.yaw_rad[row, known]
         span = np.diff(t)
-        bridged = np.asarray(span <= reach_s + _SAME_S)
+        bridged = np.asarray(span <= reach_s + SAME_S)
         mean = np.diff(xy, axis=0) / span[:, None]
         turn = wrap_angle(np.diff(yaw))
         rate = turn / span
@@ -118,10 +119,10 @@ class _Curve:
         if len(self.t_s) == 0:
             none = np.zeros(0, dtype=np.int64)
             return none, none, none.astype(np.bool_)
-        segment = np.searchsorted(self.t_s, at_s + _SAME_S, side="right") - 1
+        segment = np.searchsorted(self.t_s, at_s + SAME_S, side="right") - 1
         inside = segment >= 0
         segment = np.maximum(segment, 0)
-        exact = inside & (np.abs(at_s - self.t_s[segment]) <= _SAME_S)
+        exact = inside & (np.abs(at_s - self.t_s[segment]) <= SAME_S)
         open_ended = np.append(self.bridged, False)
         known = np.flatnonzero(exact | (inside & open_ended[segment]))
         return known, segment[known], exact[known]

@@ -168,6 +168,7 @@ class RoadMap:
         *,
         vclass: str | None = None,
         max_distance_m: float = MAX_LANE_DISTANCE_M,
+        route: Sequence[str] | None = None,
     ) -> tuple[list[str | None], FloatArray, FloatArray, FloatArray]:
         """Locate N poses at once: lane ids (None where no lane is near), s, d and heading errors (NaN there).
 
@@ -176,10 +177,12 @@ class RoadMap:
             yaw_rad: (N,) headings or None.
             vclass: as in :meth:`locate`.
             max_distance_m: as in :meth:`locate`.
+            route: as in :meth:`locate`.
         """
         xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
         yaw = None if yaw_rad is None else np.asarray(yaw_rad, dtype=np.float64)
-        best = self.index.best(xy, yaw, max_distance_m, self._open_to(vclass))
+        on_route = None if route is None else self.index.route_mask(route)
+        best = self.index.best(xy, yaw, max_distance_m, self._open_to(vclass), on_route)
         ids: list[str | None] = [None] * len(xy)
         s, d, error = (np.full(len(xy), np.nan) for _ in range(3))
         for point, lane in zip(best.point, best.lane, strict=True):
@@ -187,6 +190,10 @@ class RoadMap:
         s[best.point], d[best.point] = best.s_m, best.d_m
         error[best.point] = 0.0 if yaw is None else wrap_angle(yaw[best.point] - best.yaw_rad)
         return ids, s, d, error
+
+    def on_lane(self, xy_m: FloatArray, yaw_rad: FloatArray) -> BoolArray:
+        """Return (N,) which poses (N, 2), (N,) are within the width of the lane that :meth:`locate_many` gives."""
+        return self.index.on_lane(xy_m, yaw_rad, MAX_LANE_DISTANCE_M, self._open_to(None))
 
     def to_world(
         self, lane_id: str, s_m: FloatArray | float, d_m: FloatArray | float = 0.0

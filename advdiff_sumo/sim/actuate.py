@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.core.scene import AgentClass
@@ -152,15 +152,7 @@ class Actuator:
     def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
         """Return those of *rows* whose front bumpers' centres are on a lane at poses (N, 2), (N,)."""
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        return set(rows[self._lane_under(bumper, yaw_rad)[0]].tolist())
-
-    def _lane_under(
-        self, bumper_xy_m: FloatArray, yaw_rad: FloatArray
-    ) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return for points (N, 2) whether they are on a lane, how far to its left (m), and its heading."""
-        lanes, _, d, turned = self.road.locate_many(bumper_xy_m, yaw_rad)
-        width = np.array([self.road.lanes[lane].width_m if lane is not None else 0.0 for lane in lanes])
-        return np.abs(d) <= 0.5 * width, d, yaw_rad - turned  # NaN compares as False
+        return set(rows[self.road.on_lane(bumper, yaw_rad)].tolist())
 
     def settle(self, departed: Sequence[int]) -> None:
         """Free vehicles that SUMO has just inserted for us from its own limits."""
@@ -227,12 +219,13 @@ class Actuator:
         inserted = [row in self.moved and self.moved[row].inserted for row in rows.tolist()]
         rows, xy_m, yaw_rad = rows[inserted], xy_m[inserted], yaw_rad[inserted]
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        inside, d, along = self._lane_under(bumper, yaw_rad)
+        inside = self.road.on_lane(bumper, yaw_rad)
         for row in rows[~inside].tolist():
             self._leave(row)
             self.outside.add(row)
         if self.road.lefthand:
-            bumper = _mirrored(bumper, d, along)
+            _, _, left, turned = self.road.locate_many(bumper, yaw_rad)
+            bumper = _mirrored(bumper, left, yaw_rad - turned)
         names, moved = self.world.sumo_ids, self.moved
         places = zip(
             rows[inside].tolist(),

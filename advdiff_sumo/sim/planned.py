@@ -8,7 +8,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.plan import JointPlan, Plan, Trajectory
 from advdiff_sumo.core.record import MadePlans
-from advdiff_sumo.core.resample import resample
+from advdiff_sumo.core.resample import SAME_S, resample
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.tracking import drive_controls
 from advdiff_sumo.sim.sim_options import SimOptions
@@ -49,7 +49,15 @@ def _at_model_step(tracks: Tracks, now_s: float, sim: SimOptions) -> FloatArray:
     """Return (A, T, 2) positions one model step after *now_s* and on; NaN where *tracks* has nobody."""
     dt = sim.model_step_s
     steps = max(1, round(AHEAD_S / dt))
-    return resample(tracks, dt, t0_s=now_s + dt, steps=steps).xy_m
+    at_s = now_s + dt * (1.0 + np.arange(steps))
+    column = np.rint((at_s - tracks.t0_s) / tracks.dt_s).astype(np.int64)
+    if np.abs(tracks.t0_s + tracks.dt_s * column - at_s).max() > SAME_S:
+        return resample(tracks, dt, t0_s=now_s + dt, steps=steps).xy_m
+    out = np.full((tracks.agents, steps, 2), np.nan)
+    there = np.flatnonzero((column >= 0) & (column < tracks.steps))
+    known = tracks.valid[:, column[there], None]
+    out[:, there] = np.where(known, tracks.xy_m[:, column[there]], np.nan)
+    return out
 
 
 def _own_tracks(scene: Scene, plan: Plan, sim: SimOptions) -> Tracks:

@@ -188,9 +188,8 @@ class PlannerDrive:
     def _turn_off_route(self, xy_m: FloatArray, yaw_rad: FloatArray) -> str:
         """Return the edge onto which these poses turn where the route turns elsewhere; "" while they keep to it."""
         elsewhere = {edge for here in self.route[:-1] for edge in self.road.edges[here].successors}
-        for xy, yaw in zip(xy_m, yaw_rad, strict=True):
-            pose = self.road.locate(xy, float(yaw), route=self.route)
-            edge = "" if pose is None else self.road.edge_of(pose.lane_id)
+        for lane in self.road.locate_many(xy_m, yaw_rad, route=self.route)[0]:
+            edge = "" if lane is None else self.road.edge_of(lane)
             if edge not in self.route:
                 return edge if edge in elsewhere else ""
         return ""

@@ -166,13 +166,14 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
     # before its first step, libsumo still shows what the simulation before this one was subscribed to
     results = {k: v for k, v in api.vehicle.getAllSubscriptionResults().items() if k in world.index}
     rows, states, lost = [], [], []
+    rim = world.beyond_rim
     for name, values in results.items():
         row = world.index[name]
         world.lane[row], world.beside_m[row] = values[_LANE], abs(values[_LATERAL])
         x, y = values[_POSITION][:2]
         if row in ours:
             continue
-        if x < _NOWHERE or values[_LANE].rpartition("_")[0] in world.beyond_rim:
+        if x < _NOWHERE or (rim and values[_LANE].rpartition("_")[0] in rim):
             lost.append(row)  # dropped off the road by SUMO, but not arrived; or beyond the rim
         else:
             rows.append(row)

@@ -60,6 +60,26 @@ def test_far_points_and_nan_have_no_lane(road):
     assert s.shape == (0,)
 
 
+def test_many_follow_a_route_too(road):
+    start = road.to_world(":C_9_0", 0.5)[0]
+    for route, lane in ((("WC", "CS"), ":C_9_0"), (("WC", "CE"), ":C_10_0")):
+        assert road.locate_many(start[None], np.zeros(1), route=route)[0] == [lane]
+
+
+def test_on_a_lane_is_within_its_width(road):
+    xy = np.array([[-60.0, -4.3], [-60.0, -6.3], [-60.0, -6.5], [50.0, 50.0], [np.nan, 0.0]])
+    assert road.on_lane(xy, np.zeros(5)).tolist() == [True, True, False, False, False]
+    assert road.on_lane(np.zeros((0, 2)), np.zeros(0)).shape == (0,)
+
+
+@given(x=st.floats(-12.0, 12.0), y=st.floats(-12.0, 12.0), yaw=st.floats(-3.2, 3.2))
+def test_on_a_lane_is_on_the_one_that_is_located(road, x, y, yaw):
+    xy, headings = np.array([[x, y], [3.0 * x, 0.6 * y], [0.6 * x, 3.0 * y]]), np.array([yaw, 0.1 * yaw, 0.0])
+    ids, _, d, _ = road.locate_many(xy, headings)
+    width = np.array([road.lanes[lane].width_m if lane is not None else 0.0 for lane in ids])
+    assert road.on_lane(xy, headings).tolist() == (np.abs(d) <= 0.5 * width).tolist()
+
+
 def test_near_sorts_by_distance(road):
     poses = road.near(np.array([-60.0, -4.0]), 10.0)
     assert [p.lane_id for p in poses] == ["WC_0", "WC_1", "CW_0"]

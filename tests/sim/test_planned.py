@@ -58,6 +58,14 @@ def test_controls_are_driven_to_their_end(scene: Scene) -> None:
     assert np.isnan(made.xy_m[0, 4:]).all()
 
 
+def test_plans_between_the_model_steps_are_interpolated(scene: Scene) -> None:
+    joint = JointPlan(tracks([0.0, 152.0], [10.0] * 2, 4, 3.2, 0.5).rows([1]))
+    made = made_plans(scene, None, joint, SimOptions())
+    assert made is not None
+    assert made.xy_m[0, :3, 0] == pytest.approx([155.0, 160.0, 165.0])
+    assert np.isnan(made.xy_m[0, 3:]).all()
+
+
 def test_of_the_background_the_nearest_are_kept(scene: Scene) -> None:
     joint = JointPlan(tracks([0.0, 155.0, 115.0, 135.0], [10.0] * 4, 12, 3.5, 0.5).rows([1, 2, 3]))
     made = made_plans(scene, None, joint, SimOptions(record_plans=2))

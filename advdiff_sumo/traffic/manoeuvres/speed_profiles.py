@@ -55,14 +55,13 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
     first, switch, then, lowest, highest = SpeedProfile.table(profiles).T
     small = CHECK_DT_S / FINE
     time = small * (np.arange(FINE * len(CHECK_TIMES_S)) + 0.5)
-    accel = np.where(time < switch[:, None], first[:, None], then[:, None])
-    speed = np.empty((len(profiles), len(time) + 1))
-    speed[:, 0] = speed_mps
-    for k in range(len(time)):
-        free = speed[:, k] + small * accel[:, k]
-        slowest = np.minimum(lowest, speed[:, k])
-        fastest = np.maximum(highest, speed[:, k])
-        speed[:, k + 1] = np.clip(free, np.maximum(slowest, 0.0), fastest)
+    gain = small * np.where(time[:, None] < switch, first, then)
+    speed = np.empty((len(time) + 1, len(profiles)))
+    speed[0] = speed_mps
+    for k, now in enumerate(speed[:-1]):
+        slowest = np.maximum(np.minimum(lowest, now), 0.0)
+        speed[k + 1] = np.minimum(np.maximum(now + gain[k], slowest), np.maximum(highest, now))
+    speed = np.ascontiguousarray(speed.T)
     driven = np.cumsum(0.5 * small * (speed[:, 1:] + speed[:, :-1]), axis=1)
     at = slice(FINE - 1, None, FINE)
     return driven[:, at], speed[:, 1:][:, at]

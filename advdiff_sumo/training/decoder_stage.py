@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.sample_refinement import Together, misfit
+from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.codec import LatentCodec
@@ -83,7 +84,7 @@ class DecoderStage(BundleStage):
         traffic, codec = self.bundle.traffic, self.bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)
-        scaled = diffused(self.bundle, context, self.options.sampling_steps, generator)
+        scaled = diffused(self.bundle, context, Sampling(self.options.sampling_steps), generator)
         drawn = codec.unscale(scaled)[:, :, 0]
         return context, (posterior, drawn), self._began(drawn, context.h, batch)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -72,7 +73,7 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
     schedule = schedule_of(bundle)
     k = spread_steps(batch, schedule)
     loss = noise_loss(bundle.denoiser, x0, context, batch, schedule, k, generator)
-    drawn = diffused(bundle, context, _JUDGED_STEPS, generator)
+    drawn = diffused(bundle, context, Sampling(_JUDGED_STEPS), generator)
     tally = displacement(bundle.codec.decode(drawn, context, batch), batch)
     weight = float(batch.scenes)
     return {
@@ -188,8 +189,11 @@ def sample_score(
     return masked_mean((weight * score).flatten(2).mean(-1), modelled(batch))
 
 
-def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Generator) -> Tensor:
-    """Return samples x̃⁰ (B, A, C, L) of the denoiser in at most so many *steps*, without a guide."""
+def diffused(bundle: Bundle, context: Context, sampling: Sampling, generator: torch.Generator) -> Tensor:
+    """Return samples x̃⁰ (B, A, C, L) of the denoiser, drawn as *sampling* says, without a guide.
+
+    Steps beyond those of its schedule are left out.
+    """
     schedule = schedule_of(bundle)
     shape = (*context.h.shape[:2], *bundle.codec.shape)
     start = torch.randn(shape, generator=generator).to(context.h)
@@ -197,7 +201,7 @@ def diffused(bundle: Bundle, context: Context, steps: int, generator: torch.Gene
         noise_at(bundle.denoiser, context),
         start,
         schedule,
-        Sampling(steps=min(steps, schedule.steps)),
+        replace(sampling, steps=min(sampling.steps, schedule.steps)),
         generator,
     )
 

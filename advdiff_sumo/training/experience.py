@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
@@ -15,7 +16,7 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.training.adversarial_reward import Payoff, first_steps, payoffs
 from advdiff_sumo.training.dataset import join
-from advdiff_sumo.training.denoiser_stage import diffused, schedule_of
+from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.presets import RewardOptions
 
 
@@ -113,8 +114,8 @@ def random_action(
     out = torch.where((source == 1).to(out.device)[:, None, None], noise, out)
     rows = torch.nonzero(source == 2).squeeze(1).to(out.device)
     if len(rows):
-        steps = min(options.sampling_steps, schedule_of(bundle).steps)
-        out[rows] = diffused(bundle, context.rows(rows), steps, generator)[:, :, 0]
+        sampling = Sampling(options.sampling_steps)
+        out[rows] = diffused(bundle, context.rows(rows), sampling, generator)[:, :, 0]
     return out
 
 

@@ -117,7 +117,7 @@ class JointStage(BundleStage):
             rollout, weight, strayed = self._foreseen(_fixed(context), batch, generator)
             return [(rollout, weight)], strayed
         with torch.no_grad():
-            drawn = diffused(self.bundle, context, options.sampling_steps, generator)
+            drawn = diffused(self.bundle, context, Sampling(options.sampling_steps), generator)
         return [(self.bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
 
     def _foreseen(

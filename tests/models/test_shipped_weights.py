@@ -11,11 +11,13 @@ import torch
 
 import advdiff_sumo
 from advdiff_sumo.data.window_files import WindowFile
+from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.collate import collate
 from advdiff_sumo.models.shipped_weights import WEIGHTS, ShippedName, find_weights, shipped_weights
 from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.open_loop import sampling_of
 from advdiff_sumo.training.own_samples import faults
 from advdiff_sumo.training.stage import means
 from tests.training.straight_road import make_windows
@@ -64,7 +66,7 @@ def sampled(name: ShippedName, windows: WindowFile) -> dict[str, float]:
     """Return the faults of one free sample of each window."""
     bundle, batch = load_bundle(shipped_weights(name)).frozen(), collate(windows, np.arange(windows.windows))
     context = bundle.traffic.encoder(batch)
-    drawn = diffused(bundle, context, 5, torch.Generator().manual_seed(0))
+    drawn = diffused(bundle, context, Sampling(5), torch.Generator().manual_seed(0))
     return means(faults(bundle.codec.decode(drawn, context, batch), batch))
 
 
@@ -74,6 +76,18 @@ def test_free_samples_of_the_closed_loop_weights_seldom_touch_and_stay_on_the_ro
     assert after["collision_rate"] < 0.6 * before["collision_rate"]
     assert after["off_road_rate"] < 0.02
     assert 0.8 < after["travelled"] < 1.2
+
+
+@torch.no_grad()
+def test_free_samples_of_closed_loop_weights_stay_within_two_deviations_and_others_need_not() -> None:
+    windows = make_windows(8)
+    largest = []
+    for name, seen in (("closed-loop", far_view(windows)), ("traffic", windows)):
+        bundle, batch = load_bundle(shipped_weights(name)).frozen(), collate(seen, np.arange(8))
+        generator = torch.Generator().manual_seed(0)
+        drawn = diffused(bundle, bundle.traffic.encoder(batch), sampling_of(bundle, 5), generator)
+        largest.append(float(drawn.abs().max()))
+    assert largest[0] <= 2.0 < largest[1]
 
 
 def test_every_number_is_finite_and_latents_have_been_scaled(shipped: Bundle) -> None:

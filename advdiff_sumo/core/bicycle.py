@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.frames import unit, wrap_angle
+from advdiff_sumo.core.frames import wrapped
 
 WHEELBASE_PER_LENGTH = 0.6
+_TINY_RAD = float(np.finfo(np.float64).eps)
+"""Turn that stands for none, so that chord over arc is 1."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,34 @@ def step(
 
     All arrays are (…,) but *xy_m*, which is (…, 2).
     """
+    x, y, yaw, speed = advance(
+        xy_m[..., 0], xy_m[..., 1], yaw_rad, speed_mps, accel_mps2, curvature_1pm, dt_s
+    )
+    return np.stack((x, y), axis=-1), np.asarray(yaw), np.asarray(speed)
+
+
+def advance(
+    x_m: FloatArray,
+    y_m: FloatArray,
+    yaw_rad: FloatArray,
+    speed_mps: FloatArray,
+    accel_mps2: FloatArray,
+    curvature_1pm: FloatArray,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what :func:`step` does, coordinate by coordinate: x, y, yaw and speed (…,)."""
     stop_s = np.where(accel_mps2 < 0.0, speed_mps / np.maximum(-accel_mps2, 1e-9), np.inf)
     moving_s = np.minimum(np.maximum(stop_s, 0.0), dt_s)
     travelled = speed_mps * moving_s + 0.5 * accel_mps2 * moving_s**2
     turn = curvature_1pm * travelled
     half = 0.5 * turn
-    chord = travelled * np.sinc(half / np.pi)  # sin(half) / half
-    moved = xy_m + chord[..., None] * unit(yaw_rad + half)
+    swept = np.pi * (half / np.pi)  # as np.sinc rounds it
+    swept = np.where(swept, swept, _TINY_RAD)
+    chord = travelled * (np.sin(swept) / swept)
+    heading = yaw_rad + half
     speed = np.where(stop_s <= dt_s, 0.0, speed_mps + accel_mps2 * dt_s)
-    return moved, wrap_angle(yaw_rad + turn), speed
+    east, north = x_m + chord * np.cos(heading), y_m + chord * np.sin(heading)
+    return east, north, wrapped(yaw_rad + turn), speed[()]
 
 
 def clip_controls(
@@ -73,11 +94,28 @@ def clip_controls(
     limits: Limits,
 ) -> tuple[FloatArray, FloatArray]:
     """Return acceleration and curvature within *limits* at *speed_mps*; all arrays (…,)."""
-    accel = np.minimum(np.maximum(accel_mps2, -limits.brake_mps2), limits.accel_mps2)  # np.clip takes longer
-    accel = np.where(speed_mps >= limits.speed_mps, np.minimum(accel, 0.0), accel)
-    geometric = np.tan(limits.steer_rad) / wheelbase_m(length_m)
+    return bounded_controls(
+        speed_mps, accel_mps2, curvature_1pm, tightest_curvature_1pm(length_m, limits), limits
+    )
+
+
+def tightest_curvature_1pm(length_m: FloatArray, limits: Limits) -> FloatArray:
+    """Return the curvature (…,) of vehicles of *length_m* (…,) that steer as far as *limits* let them."""
+    return np.asarray(np.tan(limits.steer_rad) / wheelbase_m(length_m))
+
+
+def bounded_controls(
+    speed_mps: FloatArray,
+    accel_mps2: FloatArray,
+    curvature_1pm: FloatArray,
+    tightest_1pm: FloatArray,
+    limits: Limits,
+) -> tuple[FloatArray, FloatArray]:
+    """Return :func:`clip_controls` of vehicles whose :func:`tightest_curvature_1pm` is known; all arrays (…,)."""
+    accel = np.minimum(np.maximum(accel_mps2, -limits.brake_mps2), limits.accel_mps2)
+    accel = np.where(speed_mps >= limits.speed_mps, np.minimum(accel, 0.0), accel)[()]
     grip = limits.lateral_mps2 / np.maximum(speed_mps, 0.1) ** 2
-    bound = np.minimum(geometric, grip)
+    bound = np.minimum(tightest_1pm, grip)
     return accel, np.minimum(np.maximum(curvature_1pm, -bound), bound)
 
 

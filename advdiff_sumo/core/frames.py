@@ -13,8 +13,12 @@ from advdiff_sumo.core.arrays import FloatArray
 
 def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
     """Return *angle_rad* wrapped into (−π, π]; NaN stays NaN."""
-    wrapped = -((-np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.asarray(wrapped)
+    return np.asarray(wrapped(np.asarray(angle_rad, dtype=np.float64)))
+
+
+def wrapped(angle_rad: FloatArray) -> FloatArray:
+    """Return :func:`wrap_angle` of numbers of numpy, single ones as such: sums of them cost less than of arrays."""
+    return -((-angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def yaw_from_sumo(angle_deg: FloatArray | float) -> FloatArray:

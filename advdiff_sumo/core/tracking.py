@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.bicycle import Limits, clip_controls, stacked, step, wheelbase_m
-from advdiff_sumo.core.frames import local_from_world, wrap_angle
+from advdiff_sumo.core.bicycle import (
+    Limits,
+    advance,
+    bounded_controls,
+    clip_controls,
+    stacked,
+    step,
+    tightest_curvature_1pm,
+    wheelbase_m,
+)
+from advdiff_sumo.core.frames import wrap_angle, wrapped
 from advdiff_sumo.core.plan import Controls, Trajectory
 
 _CROSS_GAIN = 0.6  # 1/(m s): curvature × speed per metre of lateral error
@@ -75,30 +86,56 @@ def track(state: State, reference: State, length_m: FloatArray, step_s: float, l
     Returns:
         States of the same shape as *reference*.
     """
-    xy, yaw, speed = state
-    last = state
-    out = []
-    for k in range(reference[1].shape[-1]):
-        goal = reference[0][..., k, :], reference[1][..., k], reference[2][..., k]
-        accel, bend = _controls((xy, yaw, speed), last, goal, step_s)
-        accel, bend = clip_controls(speed, accel, bend, length_m, limits)
-        xy, yaw, speed = step(xy, yaw, speed, accel, bend, step_s)
-        out.append((xy, yaw, speed))
-        last = goal
-    return stacked(out)
+    before = _before(state, reference)
+    xy, yaw, speed = (np.empty(part.shape) for part in reference)
+    x, y, *rest = (np.moveaxis(part, -1, 0) for part in (xy[..., 0], xy[..., 1], yaw, speed))
+    given = *_columns(before), *_feed_forward(before, reference, step_s)
+    tightest = tightest_curvature_1pm(length_m, limits)[()]
+    pose = state[0][..., 0][()], state[0][..., 1][()], state[1][()], state[2][()]
+    for k, (*last, push, turn) in enumerate(zip(*(np.moveaxis(part, -1, 0) for part in given), strict=True)):
+        accel, bend = _controls(pose, last, push, turn)
+        accel, bend = bounded_controls(pose[3], accel, bend, tightest, limits)
+        pose = advance(*pose, accel, bend, step_s)
+        x[k], y[k], rest[0][k], rest[1][k] = pose
+    return xy, yaw, speed
 
 
-def _controls(state: State, last: State, goal: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return acceleration and curvature that lead from *state* towards *goal*; all arrays (…,)."""
-    xy, yaw, speed = state
-    offset = local_from_world(last[0], xy, yaw)
-    reference_step = np.maximum(0.5 * (last[2] + goal[2]) * dt_s, 1e-6)
-    feed_bend = np.where(reference_step > 1e-3, wrap_angle(goal[1] - last[1]) / reference_step, 0.0)
-    heading = wrap_angle(last[1] - yaw)
+def _columns(state: State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return x, y, yaw and speed of *state*."""
+    return state[0][..., 0], state[0][..., 1], state[1], state[2]
+
+
+def _before(state: State, reference: State) -> State:
+    """Return what *reference* is one step before each of its instants: *state* at first."""
+    return (
+        np.concatenate((state[0][..., None, :], reference[0][..., :-1, :]), axis=-2),
+        np.concatenate((state[1][..., None], reference[1][..., :-1]), axis=-1),
+        np.concatenate((state[2][..., None], reference[2][..., :-1]), axis=-1),
+    )
+
+
+def _feed_forward(last: State, goal: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the accelerations and curvatures (…, T) with which a reference itself gets from *last* to *goal*."""
+    driven = np.maximum(0.5 * (last[2] + goal[2]) * dt_s, 1e-6)
+    bend = np.where(driven > 1e-3, wrap_angle(goal[1] - last[1]) / driven, 0.0)
+    return (goal[2] - last[2]) / dt_s, bend
+
+
+def _controls(
+    pose: Sequence[FloatArray], last: Sequence[FloatArray], push: FloatArray, turn: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return acceleration and curvature that lead from *pose* towards where the reference goes; all (…,).
+
+    It was to be at *last* by now, and goes on with the acceleration *push* and the curvature *turn*.
+    """
+    x, y, yaw, speed = pose
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    east, north = last[0] - x, last[1] - y
+    along, left = cos * east + sin * north, cos * north - sin * east
     near = np.minimum(1.0, speed / 2.0)  # a standing vehicle cannot correct sideways
     pace = np.maximum(speed, 1.0)
-    bend = feed_bend + near * (_CROSS_GAIN * offset[..., 1] + _HEADING_GAIN * heading) / pace
-    accel = (goal[2] - last[2]) / dt_s + _ALONG_GAIN * offset[..., 0] + _SPEED_GAIN * (last[2] - speed)
+    bend = turn + near * (_CROSS_GAIN * left + _HEADING_GAIN * wrapped(last[2] - yaw)) / pace
+    accel = push + _ALONG_GAIN * along + _SPEED_GAIN * (last[3] - speed)
     return accel, bend
 
 

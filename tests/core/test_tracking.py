@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from advdiff_sumo.core.bicycle import Limits, clip_controls, rollout
-from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.bicycle import Limits, clip_controls, rollout, step
+from advdiff_sumo.core.frames import local_from_world, unit, wrap_angle
 from advdiff_sumo.core.plan import Controls, Trajectory
 from advdiff_sumo.core.tracking import State, densify, drive_controls, drive_plan, track
 
@@ -58,6 +58,50 @@ def test_an_infeasible_reference_is_followed_within_the_limits(seed: int, speed:
         np.abs(turned) * np.maximum(before, 0.1) ** 2 <= LIMITS.lateral_mps2 * (before + 0.4) * STEP + 1e-9
     ).all()
     assert (moved <= 0.5 * (before + pace) * STEP + 1e-9).all()
+
+
+@given(st.integers(0, 10**6), st.sampled_from([(), (1,), (5,)]), st.floats(0.0, 70.0))
+@settings(max_examples=40, deadline=None)
+def test_tracking_by_single_steps_gives_the_same_bits(
+    seed: int, shape: tuple[int, ...], speed: float
+) -> None:
+    """The law of feed-forward and feedback written out with whole points, step by step."""
+    rng = np.random.default_rng(seed)
+    reference = (
+        rng.normal(0, 20, (*shape, 9, 2)),
+        rng.uniform(-3, 3, (*shape, 9)),
+        rng.uniform(0, 20, (*shape, 9)),
+    )
+    state = rng.normal(0, 5, (*shape, 2)), rng.uniform(-3, 3, shape), np.full(shape, speed)
+    state, length = (state[0], np.asarray(state[1]), state[2]), np.full(shape, 4.5)
+    driven, pose, last = track(state, reference, length, STEP, LIMITS), state, state
+    for k in range(9):
+        goal = reference[0][..., k, :], reference[1][..., k], reference[2][..., k]
+        xy, yaw, pace = pose
+        offset = local_from_world(last[0], xy, yaw)
+        way = np.maximum(0.5 * (last[2] + goal[2]) * STEP, 1e-6)
+        feed = np.where(way > 1e-3, wrap_angle(goal[1] - last[1]) / way, 0.0)
+        error = 0.6 * offset[..., 1] + 2.4 * wrap_angle(last[1] - yaw)
+        bend = feed + np.minimum(1.0, pace / 2.0) * error / np.maximum(pace, 1.0)
+        accel = (goal[2] - last[2]) / STEP + 1.0 * offset[..., 0] + 2.0 * (last[2] - pace)
+        pose, last = step(xy, yaw, pace, *clip_controls(pace, accel, bend, length, LIMITS), STEP), goal
+        for part, single in zip(
+            (driven[0][..., k, :], driven[1][..., k], driven[2][..., k]), pose, strict=True
+        ):
+            assert np.array_equal(part, single)
+
+
+@given(st.floats(0.0, 40.0), st.floats(-9.0, 4.0), st.floats(-0.2, 0.2))
+@settings(max_examples=60, deadline=None)
+def test_a_step_is_the_chord_of_its_arc(speed: float, accel: float, bend: float) -> None:
+    """Written with numpy's sinc and whole points: the same bits."""
+    xy, yaw, pace = np.array((5.0, -2.0)), np.asarray(0.3), np.asarray(speed)
+    stop_s = np.where(accel < 0.0, pace / np.maximum(-accel, 1e-9), np.inf)
+    moving_s = np.minimum(np.maximum(stop_s, 0.0), STEP)
+    travelled = pace * moving_s + 0.5 * accel * moving_s**2
+    half = 0.5 * (bend * travelled)
+    moved = step(xy, yaw, pace, np.asarray(accel), np.asarray(bend), STEP)[0]
+    assert np.array_equal(moved, xy + travelled * np.sinc(half / np.pi) * unit(yaw + half))
 
 
 def test_an_offset_dies_out() -> None:

@@ -88,9 +88,13 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
     return RoadEdges.of(batch).clearance(local)
 
 
-def off_road(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return (B, A, T) how far a vehicle's discs are over the road's edge, as a share of its width, at most 2."""
-    over = beyond_edge(rollout, batch.size, batch.pose, RoadEdges.of(batch))
+def off_road(rollout: Rollout, batch: SceneBatch, edges: RoadEdges | None = None) -> Tensor:
+    """Return (B, A, T) how far a vehicle's discs are over the road's edge, as a share of its width, at most 2.
+
+    *edges* are those of *batch*, for who needs them more than once.
+    """
+    edges = RoadEdges.of(batch) if edges is None else edges
+    over = beyond_edge(rollout, batch.size, batch.pose, edges)
     return torch.where(batch.moved[..., None], over, 0.0)
 
 

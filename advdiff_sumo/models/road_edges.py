@@ -77,8 +77,8 @@ class RoadEdges:
         """Return which segment is nearest to each point, and whether it counts, (B, R, M) each."""
         local = torch.cat((points, torch.ones_like(points[..., :1])), dim=-1)
         along, left = local @ self.along, local @ self.left  # (B, R, M, S)
-        beyond = along - torch.minimum(along.clamp(min=0.0), self.lines[:, :, None, :, 6])
-        distance = torch.sqrt(torch.addcmul(left.square(), beyond, beyond))
+        beyond = along.sub_(torch.minimum(along.clamp(min=0.0), self.lines[:, :, None, :, 6]))
+        distance = left.square().addcmul_(beyond, beyond).sqrt_()
         # both segments of a corner are equally near; the one that sees the point more from the side knows the side
         score = distance.sub_(left.abs_(), alpha=CORNER).masked_fill_(~self.usable[:, :, None], FAR_M)
         which = score.argmin(dim=-1)

@@ -85,11 +85,10 @@ class ReferencePath:
     ) -> tuple[FloatArray, FloatArray]:
         """Return ``s`` and ``d`` (…,) of points (…, 2); beyond the ends of *window_m* the line goes on straight."""
         flat = xy_m.reshape(-1, 2)
-        first = int(np.clip(window_m[0] / SPACING_M, 0, len(self.xy_m) - 2))
+        first = int(min(max(window_m[0] / SPACING_M, 0), len(self.xy_m) - 2))
         window = slice(first, int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2)
-        squared = (
-            self.squared_m2[window] - 2.0 * flat @ self.xy_m[window].T
-        )  # (N, P), less a constant of each row
+        squared = 2.0 * flat @ self.xy_m[window].T
+        np.subtract(self.squared_m2[window], squared, out=squared)  # (N, P), less a constant of each row
         nearest = first + np.argmin(squared, axis=-1)
         delta = flat - self.xy_m[nearest]
         cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])
@@ -140,7 +139,8 @@ class PathStack:
 
     def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ``s`` and ``d`` (N, K) of points (K, 2), or (N, K, 2), on every line; the ends go on straight."""
-        squared = self.squared_m2[:, None] - 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
+        squared = 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
+        np.subtract(self.squared_m2[:, None], squared, out=squared)
         nearest = np.argmin(squared, axis=-1)
         rows = np.arange(len(self.count))[:, None]
         delta, yaw = xy_m - self.xy_m[rows, nearest], self.yaw_rad[rows, nearest]

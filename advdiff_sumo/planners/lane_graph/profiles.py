@@ -134,7 +134,7 @@ def leaders(variants: Sequence[Variant], state: TargetState, future: Forecast, n
             across = half[:, :1] * sin + half[:, 1:] * cos
             projected[id(variant.path)] = s, d, along, across, pace * np.maximum(np.cos(turn), 0.0)
         s, d, along, across, forward = projected[id(variant.path)]
-        clear = np.abs(d - variant.lateral(s)[0]) - across - 0.5 * state.width_m
+        clear = np.abs(d - variant.offset(s)) - across - 0.5 * state.width_m
         in_way = (clear < _SIDE_MARGIN_M) & (s[:, :1] > variant.s_m)
         rear[v] = np.where(in_way, s - along, np.inf)
         speed[v] = forward

@@ -117,15 +117,29 @@ class Variant:
 
     def lateral(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return offset and slope (…,) at *s_m*: a quintic that ends straight and uncurved on the target."""
-        u = np.clip((s_m - self.s_m) / self.blend_m, 0.0, 1.0)
+        u, (c1, c2, c3, c4, c5) = self._share(s_m), self._powers
+        slope = (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / self.blend_m
+        return self._offset(u), slope
+
+    def offset(self, s_m: FloatArray) -> FloatArray:
+        """Return the offset (…,) of :meth:`lateral` alone."""
+        return self._offset(self._share(s_m))
+
+    def _share(self, s_m: FloatArray) -> FloatArray:
+        return np.minimum(np.maximum((s_m - self.s_m) / self.blend_m, 0.0), 1.0)
+
+    def _offset(self, u: FloatArray) -> FloatArray:
+        c1, c2, c3, c4, c5 = self._powers
+        return self.d_m + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+
+    @property
+    def _powers(self) -> tuple[float, float, float, float, float]:
+        """What the first to the fifth power of the share of the blend are multiplied by."""
         c1, c2 = self.slope * self.blend_m, 0.5 * self.bend_1pm * self.blend_m**2
         gap = self.target_m - self.d_m
         c3 = 10.0 * gap - 6.0 * c1 - 3.0 * c2
         c4 = -15.0 * gap + 8.0 * c1 + 3.0 * c2
-        c5 = 6.0 * gap - 3.0 * c1 - c2
-        d = self.d_m + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-        slope = (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / self.blend_m
-        return d, slope
+        return c1, c2, c3, c4, 6.0 * gap - 3.0 * c1 - c2
 
     def poses(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return centres (…, 2) and headings (…,) at *s_m*."""
@@ -258,9 +272,9 @@ def _variants(
     s, d = (float(x) for x in path.project(state.xy_m))
     at = np.asarray(s)
     yaw, bend = float(path.yaw_at(at)), float(path.curvature_at(at))
-    error = float(np.clip(wrap_angle(state.yaw_rad - yaw), -1.0, 1.0))
+    error = min(max(float(wrap_angle(state.yaw_rad - yaw)), -1.0), 1.0)
     lever = max(1.0 - bend * d, 0.2)
-    second = float(np.clip(state.curvature_1pm - bend, -0.1, 0.1))
+    second = min(max(state.curvature_1pm - bend, -0.1), 0.1)
     slope = lever * np.tan(error)
     blends = [_blend_m(state, target - d, options) for target in targets_m]
     pairs = zip(targets_m, blends, strict=True)
@@ -269,5 +283,5 @@ def _variants(
 
 def _blend_m(state: TargetState, across_m: float, options: LaneGraphOptions) -> float:
     """Return the length of a blend that moves the target by *across_m*."""
-    share = float(np.clip(abs(across_m) / 3.2, 0.4, 1.2))
+    share = min(max(abs(across_m) / 3.2, 0.4), 1.2)
     return max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))

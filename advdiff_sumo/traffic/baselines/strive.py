@@ -26,6 +26,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
+from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior, prior_of
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import (
@@ -48,6 +49,7 @@ class _Start:
     Attributes:
         batch: the scene.
         context: its embeddings and prior.
+        edges: of the road around.
         moved: (A,) whose latents are searched.
         may: (A,) who of them may attack.
         natural: (A, Z) standardised latents without an attack.
@@ -56,6 +58,7 @@ class _Start:
 
     batch: SceneBatch
     context: Context
+    edges: RoadEdges
     moved: Tensor
     may: Tensor
     natural: Tensor
@@ -126,9 +129,8 @@ class Strive(BaselinePolicy):
     def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
         """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
         rollout = self._decode(start, epsilon, forced, HORIZON_STEPS)
-        return strive_loss(
-            rollout, start.batch, start.moved, start.may, (epsilon, start.natural), self.options
-        )
+        latents = epsilon, start.natural
+        return strive_loss(rollout, start.batch, start.moved, start.may, latents, self.options, start.edges)
 
     def _start(self, task: SearchTask) -> _Start:
         batch = task.view.batch.to(self.prior.device)
@@ -143,7 +145,7 @@ class Strive(BaselinePolicy):
         shifts, known = _stacked(task, task.memory.searched, noise)
         gained = torch.where(known[:, None], share * (shifts - old), 0.0).to(self.prior.device)
         moved = torch.from_numpy(task.view.moved).to(self.prior.device)
-        start = _Start(batch, context, moved, moved, natural, natural + gained)
+        start = _Start(batch, context, RoadEdges.of(batch), moved, moved, natural, natural + gained)
         return replace(start, may=self._may(task, start).to(moved.device))
 
     @torch.no_grad()

@@ -14,6 +14,7 @@ from torch import Tensor
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import off_road, pair_overlap
+from advdiff_sumo.models.road_edges import RoadEdges
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import halves
 
@@ -50,6 +51,7 @@ def strive_loss(
     may: Tensor,
     epsilon: tuple[Tensor, Tensor],
     options: StriveOptions,
+    edges: RoadEdges | None = None,
 ) -> Terms:
     """Return the loss of one scene; the target is row 0 and is not differentiated.
 
@@ -60,6 +62,7 @@ def strive_loss(
         may: (A,) who of them may attack, one at least.
         epsilon: standardised latents (A, Z), and the natural ones.
         options: the weights.
+        edges: of the road around the scene; None: they are worked out.
     """
     adversarial, share = attack(rollout, may)
     now, natural = epsilon
@@ -69,7 +72,7 @@ def strive_loss(
     start = (start_weight * (now - natural).square().sum(-1))[moved].sum()
     dense = halves(rollout, batch.pose)
     vehicles, target = _touching(dense, batch, moved, share)
-    road = _mean_of_touching(off_road(dense, batch)[0][moved])
+    road = _mean_of_touching(off_road(dense, batch, edges)[0][moved])
     total = options.adversarial * adversarial + options.vehicles * vehicles + options.target * target
     total = total + options.road * road + prior + start
     return Terms(total, adversarial, vehicles, target, road, prior, start, share)

@@ -136,7 +136,7 @@ class Decoder(nn.Module):
         Agents that are no vehicles keep their velocity, those that are *forced* do what is given. *by* takes the place
         of :meth:`step`.
         """
-        return self.roll(z, h, self.surroundings(batch), steps, forced, by=by)[0]
+        return rollout_of(self._roll(z, h, self.surroundings(batch), steps, forced, None, by)[0])
 
     def roll(
         self,
@@ -152,20 +152,35 @@ class Decoder(nn.Module):
 
         All others move and say what they did in *trace*; None: the rows are everybody.
         """
+        states, begun, said = self._roll(z, h, around, steps, forced, trace, by)
+        motions = [torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in begun]
+        return rollout_of(states), Trace(torch.stack(motions), torch.stack(said))
+
+    def _roll(
+        self,
+        z: Tensor,
+        h: Tensor,
+        around: Surroundings,
+        steps: int,
+        forced: Forced | None,
+        trace: Trace | None,
+        by: Step | None,
+    ) -> tuple[list[State], list[Motion], list[Tensor]]:
+        """Return the states after each step of :meth:`roll`, and where everybody began it and what he said."""
         own = self._compiled if trace is None and torch.is_grad_enabled() else None
         advance, rows = by or own or self.step, around.rows
         memory = self.begin(z, h)
         motion = motion_now(around.own)
-        states, begun, said = [], [], []
+        states, begun, said = list[State](), list[Motion](), list[Tensor]()
         for k in range(steps):
             everybody = motion if trace is None else self._among(trace.motion[k], rows, motion)
             others = None if trace is None else trace.senders[k]
             state, memory, senders = advance(memory, z, around, motion, everybody, others)
-            begun.append(torch.cat((everybody[0], everybody[1][..., None], everybody[2][..., None]), dim=-1))
+            begun.append(everybody)
             said.append(senders)
             states.append(state if forced is None else forced.put(k, state))
             motion = states[-1][:3]
-        return rollout_of(states), Trace(torch.stack(begun), torch.stack(said))
+        return states, begun, said
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
         """Return what stays the same through a rollout of agents *rows* (R,) of *batch*; None: of all."""

@@ -33,7 +33,6 @@ from advdiff_sumo.traffic.baselines.baseline_policy import (
     BaselinePolicy,
     SearchResult,
     SearchTask,
-    with_target,
 )
 from advdiff_sumo.traffic.baselines.strive_loss import Terms, strive_loss
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
@@ -183,7 +182,7 @@ class Strive(BaselinePolicy):
         self, start: _Start, epsilon: Tensor, forced: Forced | None, steps: int = FUTURE_STEPS
     ) -> Rollout:
         z = self._latents(start, epsilon)[None]
-        return with_target(self.decoder(z, start.context.h, start.batch, steps, forced), forced)
+        return self.decoder(z, start.context.h, start.batch, steps, forced)
 
     def _attackers(
         self, task: SearchTask, start: _Start, rollout: Rollout, share: FloatArray

@@ -260,6 +260,14 @@ def test_gradients_are_numbers_at_the_edges(
     assert all(bool(torch.isfinite(g).all()) for g in grads)
 
 
+def test_a_rollout_with_its_trace_is_the_one_without(nets: Nets, batch: SceneBatch) -> None:
+    decoder, context = nets.traffic.decoder, nets.traffic.encoder(batch)
+    z = context.prior.mean
+    traced, trace = decoder.roll(z, context.h, decoder.surroundings(batch), 5)
+    assert torch.equal(traced.states(), decoder(z, context.h, batch, 5).states())
+    assert torch.equal(trace.motion[1:], traced.states().movedim(2, 0)[:-1])
+
+
 def test_decoder_is_the_bicycle_within_its_limits(
     nets: Nets, batch: SceneBatch, options: ModelOptions
 ) -> None:

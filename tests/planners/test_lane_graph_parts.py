@@ -166,6 +166,9 @@ def test_a_blend_starts_where_the_target_is_and_ends_on_its_aim(crossing: Maker)
     assert (d[1] - d[0]) / 0.1 == pytest.approx(0.05, abs=1e-3)
     assert d[3:] == pytest.approx([0.0, 0.0], abs=1e-12)
     assert slope[3:] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert np.array_equal(
+        variant.offset(np.linspace(0.0, 60.0, 13)), variant.lateral(np.linspace(0.0, 60.0, 13))[0]
+    )
 
 
 def test_a_corner_that_no_car_can_follow_is_swung_out_for_and_cut() -> None:

@@ -127,6 +127,25 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     assert float(after.adversarial) < float(before.adversarial)
 
 
+def test_the_target_drives_what_the_surrogate_answered(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """For the 4 s that it is asked for; the loss is the same with the road's edges at hand and without."""
+    scene = street(PLACES, SPEEDS)
+    policy = Strive(weights=weights, licence="reckless")
+    memory = policy.start(downtown, scene, None, np.random.default_rng(0))
+    task = SearchTask(downtown, look(downtown, scene), memory, 1)
+    start = policy._start(task)
+    with torch.no_grad():
+        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
+        assert forced is not None
+        epsilon = start.warm + 0.5
+        rollout = policy._decode(start, epsilon, forced, 8)
+        assert torch.equal(rollout.states()[0, 0], forced.states[0, 0, :8])
+        given = rollout, start.batch, start.moved, start.may, (epsilon, start.natural), policy.options
+        assert torch.equal(strive_loss(*given).total, policy.loss(start, epsilon, forced).total)
+
+
 def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)

@@ -87,7 +87,8 @@ Licence: TypeAlias = Annotated[
 Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out, queue; "
+        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out, queue, "
+        "oncoming, double; "
         "with --licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
         show_default="any",
     ),

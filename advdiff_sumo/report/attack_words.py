@@ -10,6 +10,8 @@ _DOES: Mapping[str, str] = {
     "cut-in": "cut in",
     "cut-out": "cut out",
     "queue": "be the end of a queue before it",
+    "oncoming": "cross its way from ahead",
+    "double": "stop hard before it while others are nearer",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
     "junction": "cross its way",

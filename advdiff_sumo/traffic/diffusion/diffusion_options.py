@@ -30,6 +30,8 @@ Attack: TypeAlias = Literal[
     "stop-and-go",
     "cut-out",
     "queue",
+    "oncoming",
+    "double",
 ]
 LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "any": ("any", "any"),
@@ -42,6 +44,8 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "stop-and-go": ("stop-and-go", "brake"),
     "cut-out": ("cut-out", "any"),
     "queue": ("queue", "any"),
+    "oncoming": ("oncoming", "any"),
+    "double": ("double", "any"),
 }
 """Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
 RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")

@@ -13,6 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_due, perceived_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
@@ -37,6 +38,8 @@ def begin(
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     wanted = kept.wanted(view)
     possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
+    if kept.stage.only_oncoming:
+        possible = list(from_ahead(view, possible))
     proposals = [m for m in graded(view, possible, kept.intensity) if is_due(view, m, kept.since_s)]
     out: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)

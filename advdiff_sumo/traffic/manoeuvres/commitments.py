@@ -13,6 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPrefer
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
@@ -147,16 +148,19 @@ class Commitments:
             intensity: severities that are asked for.
             preference: of encounters, which turns and newcomers follow too where *attack* is "any".
         """
-        kinds = list(KINDS) if attack == "any" else [attack]
+        asked = "crossing" if attack == ONCOMING else attack
+        kinds = list(KINDS) if asked == "any" else [asked]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = _newcomers(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
-        stage = StagingMemory(staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0)
+        stage = StagingMemory(
+            staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
+        )
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
         if preference is not None and attack == QUEUE:
             preference = None  # nothing is predicted of it
         elif preference is not None and attack != "any":
-            preference = replace(preference, kinds=(attack,))
+            preference = replace(preference, kinds=(asked,))
         elif preference is not None:
             wanted, preference = preference.drawn(
                 rng, {one: _FIVE.count(one) / len(_FIVE) for one in _FIVE}, len(classes)

@@ -20,6 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AS_GOOD_AS_STANDS_MPS,
     ENDS_STANDING,
@@ -43,7 +44,7 @@ def carry_on(
     active, rested = dict(kept.active), dict(kept.rested_s)
     for name, under_way in kept.active.items():
         row = index.get(name)
-        manoeuvre = _continued(view, row, under_way, kept.intensity, licence) if row in view.movable else None
+        manoeuvre = _continued(view, row, under_way, kept, licence) if row in view.movable else None
         if manoeuvre is not None and still_lawful(view, manoeuvre, licence):
             going.append(manoeuvre)
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
@@ -60,10 +61,11 @@ def _continued(
     view: SituationView,
     row: int | None,
     under_way: Commitment,
-    intensity: Intensity,
+    kept: Commitments,
     licence: Licence | None,
 ) -> Manoeuvre | None:
     """Return the rest of a manoeuvre; None where it is over."""
+    intensity = kept.intensity
     passed = view.scene.time_s - under_way.since_s
     longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
     if row is None or under_way.sets_up or passed >= longest:
@@ -76,6 +78,8 @@ def _continued(
         if _is_before(view, row):
             return None  # who has come out ahead of it is a leader
         timed = list(crossing_on(view, row))
+        if kept.stage.only_oncoming:
+            timed = list(from_ahead(view, timed))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         holds = intensity.is_asked_of("crossing") and target_brakes(view)
         if again and not holds and not (again[0].needed_mps2 == 0.0 and _target_stands(view)):

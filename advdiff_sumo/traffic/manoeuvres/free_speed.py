@@ -59,11 +59,11 @@ def _bends(way: Way) -> tuple[FloatArray, FloatArray, FloatArray]:
     lanes = way.lane.lanes
     ends = np.cumsum([lane.length_m for lane in lanes]) - way.lane.s_m
     begins = np.concatenate(([-np.inf], ends[:-1]))
-    return begins, ends, np.array([_bend_mps(lane) for lane in lanes])
+    return begins, ends, np.array([bend_mps(lane) for lane in lanes])
 
 
 @lru_cache(maxsize=4096)
-def _bend_mps(lane: Lane) -> float:
+def bend_mps(lane: Lane) -> float:
     """Return the speed at which the mean lateral acceleration over an internal lane is 2.5 m/s²; inf elsewhere."""
     if not lane.is_internal:
         return np.inf

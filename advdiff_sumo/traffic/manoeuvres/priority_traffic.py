@@ -15,6 +15,7 @@ from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S, TargetWay
+from advdiff_sumo.traffic.manoeuvres.free_speed import bend_mps
 from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -50,7 +51,9 @@ class Approach:
     speed_mps: float
 
 
-def approaches(view: SituationView, oncoming: bool, early_s: float | None = None) -> Iterator[Approach]:
+def approaches(
+    view: SituationView, oncoming: bool, early_s: float | None = None, from_ahead_only: bool = False
+) -> Iterator[Approach]:
     """Yield who would meet the target at its next junctions and goes first, those wanted most first.
 
     The target goes on as if it saw nobody. Nobody meets a target that waits behind others or hardly moves, nor one
@@ -60,6 +63,8 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
         view: the scene.
         oncoming: whether those who come from ahead are wanted more than those from the sides.
         early_s: how long before the target they are there; None: with it.
+        from_ahead_only: whether nobody from the sides is wanted at all; those who turn come where none go straight
+            on, as slow as their bend asks for.
     """
     target = view.target
     if target is None or target.speed_mps < SLOWEST_TARGET_MPS:
@@ -70,6 +75,9 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
             return
         red = view.is_red(link)
         foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
+        if from_ahead_only:
+            foes = [one for one in foes if comes_from_ahead(view, link, one)]
+            foes = [one for one in foes if one.direction == "s"] or foes
         met = [
             (other, places)
             for other in foes
@@ -87,7 +95,9 @@ def approaches(view: SituationView, oncoming: bool, early_s: float | None = None
                 usual_s = _TIMING_AT_RED_S if red else _TIMING_S
                 timing_s = usual_s if early_s is None else (-early_s,)
                 arrivals_s = [meets_s + late for late in timing_s]
-                yield from _meeting(view, other, arrivals_s, places[1], _PACE_AT_RED if red else 1.0)
+                pace = _PACE_AT_RED if red else 1.0
+                fastest_mps = turning_mps(view.road, other) if from_ahead_only else np.inf
+                yield from _meeting(view, other, arrivals_s, places[1], pace, fastest_mps)
         if red:
             return
 
@@ -99,7 +109,7 @@ def _stops_m(target: TargetWay) -> float:
 
 def _waits_m(view: SituationView, link: Link, other: Link, meets_m: float) -> float:
     """Return how far beyond its stop line somebody on *link* waits for *other*, which it would meet at *meets_m*."""
-    return max(meets_m - _WAITS_BEFORE_M, 0.0) if _from_ahead(view, link, other) else 0.0
+    return max(meets_m - _WAITS_BEFORE_M, 0.0) if comes_from_ahead(view, link, other) else 0.0
 
 
 def goes_first(view: SituationView, link: Link) -> list[Link]:
@@ -124,10 +134,11 @@ def _may_go(view: SituationView, link: Link) -> bool:
 
 
 def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
-    return _from_ahead(view, link, other) is not oncoming, other.direction != "s"
+    return comes_from_ahead(view, link, other) is not oncoming, other.direction != "s"
 
 
-def _from_ahead(view: SituationView, link: Link, other: Link) -> bool:
+def comes_from_ahead(view: SituationView, link: Link, other: Link) -> bool:
+    """Return whether who takes *other* comes to the junction head-on to who takes *link*."""
     own, theirs = (
         float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
     )
@@ -154,11 +165,22 @@ def _over(road: RoadMap, link: Link) -> FloatArray:
     return line.at(np.arange(0.0, min(inside + _BEYOND_M, line.length_m), _SPACING_M))[0]
 
 
+def turning_mps(road: RoadMap, link: Link) -> float:
+    """Return the speed that the junction's lanes of *link* allow who takes it: their limits and bends."""
+    lanes = [road.lanes[name] for name in link.via]
+    return min((min(lane.speed_mps, bend_mps(lane)) for lane in lanes), default=np.inf)
+
+
 def _meeting(
-    view: SituationView, link: Link, arrivals_s: Sequence[float], beyond_m: float, pace: float
+    view: SituationView,
+    link: Link,
+    arrivals_s: Sequence[float],
+    beyond_m: float,
+    pace: float,
+    fastest_mps: float,
 ) -> Iterator[Approach]:
     """Yield who is *beyond_m* beyond the stop line of *link* at one of *arrivals_s*, at a *pace* of the limit."""
-    limit = pace * min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS / pace)
+    limit = min(pace * min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS / pace), fastest_mps)
     upstream = _upstream(view, link)
     room = sum(lane.length_m for lane in upstream)
     for arrives_s in arrivals_s:

@@ -52,6 +52,7 @@ class StagingMemory:
         oncoming: whether somebody with priority comes from ahead rather than from the side.
         early_s: how long before the target it is where they meet; None: with it.
         spare_gap_m: what somebody beside leaves beyond the lawful gap.
+        only_oncoming: whether nobody with priority comes from the side.
         count: of those that have come in.
         again_s: when it looks again.
     """
@@ -61,6 +62,7 @@ class StagingMemory:
     oncoming: bool = False
     early_s: float | None = None
     spare_gap_m: float = 0.0
+    only_oncoming: bool = False
     count: int = 0
     again_s: float = 0.0
 
@@ -191,7 +193,7 @@ def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
-    for one in approaches(view, stage.oncoming, stage.early_s):
+    for one in approaches(view, stage.oncoming, stage.early_s, stage.only_oncoming):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
 
 

@@ -34,7 +34,16 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 Kind: TypeAlias = Literal[
-    "any", "hard-stop", "cut-in", "crossing", "blocked-lane", "stop-and-go", "cut-out", "queue"
+    "any",
+    "hard-stop",
+    "cut-in",
+    "crossing",
+    "blocked-lane",
+    "stop-and-go",
+    "cut-out",
+    "queue",
+    "oncoming",
+    "double",
 ]
 
 

@@ -9,6 +9,7 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, waits_at_red
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, PATIENT_S, SUPPORTS, Commitments
+from advdiff_sumo.traffic.manoeuvres.company import stops_in_company
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded
@@ -16,7 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_due, perceived_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 _PATIENCE = ((PATIENT_S, 0.4),)
@@ -24,6 +25,7 @@ _PATIENCE = ((PATIENT_S, 0.4),)
 _LEADER_PATIENCE = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
 """The same for a leader that lets the target close up, and which no red light stops soon."""
 _NOW_S = 0.5
+_PROPOSED = {**KINDS, DOUBLE: stops_in_company}
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -37,9 +39,8 @@ def begin(
     busy |= {r for r in view.movable if names[r] in kept.standing.names}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     wanted = kept.wanted(view)
-    possible = [m for row in free for kind in wanted for m in KINDS[kind](view, row)]
-    if kept.stage.only_oncoming:
-        possible = list(from_ahead(view, possible))
+    possible = [m for row in free for kind in wanted for m in _PROPOSED[kind](view, row)]
+    possible = list(from_ahead(view, possible, kept.stage.only_oncoming))
     proposals = [m for m in graded(view, possible, kept.intensity) if is_due(view, m, kept.since_s)]
     out: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)

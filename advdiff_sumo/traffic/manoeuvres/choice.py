@@ -21,7 +21,7 @@ from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 HARD_WORTH: Mapping[float, float] = {3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
@@ -36,7 +36,7 @@ _GENTLE_SHARE = 0.5
 _TRAPPED, _WAITS, _UNNOTICED_S = 0.8, 0.3, 1.0
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
-SETTING_UP, _ASKS_MPS2 = 0.05, {"hard-stop": 2.0}
+SETTING_UP, _ASKS_MPS2 = 0.05, {"hard-stop": 2.0, DOUBLE: 2.0}
 """Worth of getting into position, and what it may ask of the target: 1 m/s², or as a leader that it closes up to."""
 
 

@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
@@ -22,7 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraf
 
 SUPPORTS = (FOLLOWS, WAITS)
 """Kinds that attack nobody."""
-KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go"))
+KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
 """Kinds of a leader, who keeps the target from where others would cross it."""
 _FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
 """Classes of the first five who come in, and of every five after them."""
@@ -157,7 +157,7 @@ class Commitments:
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
         agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
-        if preference is not None and attack == QUEUE:
+        if preference is not None and attack in (QUEUE, DOUBLE):
             preference = None  # nothing is predicted of it
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(asked,))

@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_mano
 from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AS_GOOD_AS_STANDS_MPS,
+    DOUBLE,
     ENDS_STANDING,
     KINDS,
     crossing_on,
@@ -30,7 +31,12 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-_LONGEST_S: Mapping[str, float] = {"blocked-lane": 14.0, "hard-stop": 9.0, "stop-and-go": 6.0}
+_LONGEST_S: Mapping[str, float] = {
+    "blocked-lane": 14.0,
+    "hard-stop": 9.0,
+    DOUBLE: 9.0,
+    "stop-and-go": 6.0,
+}
 _LONGEST_DEFAULT_S = 7.0
 _OVER_LINE_M, _IN_WAY_M = 0.2, 1.2
 
@@ -77,9 +83,7 @@ def _continued(
     if under_way.kind == "crossing":
         if _is_before(view, row):
             return None  # who has come out ahead of it is a leader
-        timed = list(crossing_on(view, row))
-        if kept.stage.only_oncoming:
-            timed = list(from_ahead(view, timed))
+        timed = list(from_ahead(view, crossing_on(view, row), kept.stage.only_oncoming))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         holds = intensity.is_asked_of("crossing") and target_brakes(view)
         if again and not holds and not (again[0].needed_mps2 == 0.0 and _target_stands(view)):

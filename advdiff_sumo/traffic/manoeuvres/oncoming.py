@@ -20,8 +20,11 @@ _HARD_TURN = 1.25
 """Who is faster than its bend asks for by more than this share would have to brake in it."""
 
 
-def from_ahead(view: SituationView, crossings: Iterable[Manoeuvre]) -> Iterator[Manoeuvre]:
-    """Yield those of *crossings* that come from ahead, no faster than their bends allow."""
+def from_ahead(view: SituationView, crossings: Iterable[Manoeuvre], alone: bool) -> Iterator[Manoeuvre]:
+    """Yield those of *crossings* that come from ahead, no faster than their bends allow; unless *alone*, all."""
+    if not alone:
+        yield from crossings
+        return
     for manoeuvre in crossings:
         links = crossing_links(view, manoeuvre.row)
         if links is None or not comes_from_ahead(view, links[1], links[0]):

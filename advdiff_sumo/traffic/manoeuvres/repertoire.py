@@ -20,7 +20,9 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-STOPPING_KINDS = ("hard-stop", "blocked-lane")
+DOUBLE = "double"
+"""The kind of a leader that stops while others are nearer, see ``company``."""
+STOPPING_KINDS = ("hard-stop", "blocked-lane", DOUBLE)
 """Kinds that end in a stop in the lane."""
 ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 """Kinds after which who drove them may stand in the target's lane."""

@@ -8,10 +8,12 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import comes_to_yield, is_possible
 from advdiff_sumo.traffic.manoeuvres.beginning import begin, behind_target
 from advdiff_sumo.traffic.manoeuvres.commitments import SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.company import accompanying
 from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
@@ -44,9 +46,12 @@ def advance(
     features = {one.manoeuvre.row: one.features for one in chosen}
     fresh = [one.manoeuvre for one in chosen]
     fresh += behind_target(view, [*going, *fresh], fresh, licence)
+    driven = [*going, *fresh]
+    if DOUBLE in kept.wanted(view):
+        driven += accompanying(view, {m.row for m in driven}, licence)
     names, now = view.scene.history.ids, view.scene.time_s
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    return [*going, *fresh], replace(kept, active={**kept.active, **begun})
+    return driven, replace(kept, active={**kept.active, **begun})
 
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:

@@ -17,8 +17,9 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
+from advdiff_sumo.traffic.manoeuvres.company import entrances, places
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS, Approach, approaches
-from advdiff_sumo.traffic.manoeuvres.repertoire import HEADWAY_S
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, STOPS_FROM_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -34,6 +35,7 @@ AHEAD_M = 55.0
 """Within which nobody may lead the target where somebody is to come in."""
 _LATER_M, _FARTHEST_M = 36.0, 72.0
 _LEAST_AHEAD_M, _SPARE_M, _NEARLY_M = 22.0, 3.0, 10.0
+_LEADS_MORE_M = (0.0, 5.0, 10.0, 15.0)
 _APART_M, _APART_S = 9.0, 0.6
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0
@@ -111,6 +113,8 @@ def come_in(
     for candidates in (newcomers for kind, newcomers in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
+    if DOUBLE in kinds:
+        taken += _in_company(view, stage)
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
         taken += _hidden(view, stage)
     named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
@@ -159,8 +163,8 @@ def begins(view: SituationView) -> bool:
     return view.scene.time_s < PLAN_DT_S
 
 
-def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
-    """Somebody ahead in the target's lane, where nobody is."""
+def _leader(view: SituationView, stage: StagingMemory, more_m: float = 0.0) -> Iterator[Newcomer]:
+    """Somebody ahead in the target's lane, where nobody is, *more_m* farther than a leader keeps."""
     target = view.target
     if (
         target is None
@@ -169,7 +173,7 @@ def _leader(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     ):
         return
     least = _LEAST_AHEAD_M if begins(view) else _LATER_M
-    gap = max(HEADWAY_S * target.speed_mps + 8.0, least)
+    gap = max(HEADWAY_S * target.speed_mps + 8.0, least) + more_m
     yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
 
@@ -195,6 +199,35 @@ def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcom
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
     for one in approaches(view, stage.oncoming, stage.early_s, stage.only_oncoming):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
+
+
+def _in_company(view: SituationView, stage: StagingMemory) -> list[Newcomer]:
+    """Return a leader, and who drives beside the target and behind it, where they are lacking."""
+    out: list[Newcomer] = []
+    most = stage.most - stage.count - 1
+    for one in _company(view):
+        if len(out) < most and _is_free(view, one, ()) and _is_clear_of(one, out):
+            out.append(one)
+    leaders = (one for more in _LEADS_MORE_M for one in _leader(view, stage, more)) if places(view) else ()
+    first = (one for one in leaders if _is_free(view, one, ()) and _is_clear_of(one, out))
+    return [*islice(first, 1), *out] if most >= 0 else []
+
+
+def _is_clear_of(one: Newcomer, taken: Sequence[Newcomer]) -> bool:
+    """Return whether *one* comes in beside *taken* with room between."""
+    return all(float(np.linalg.norm(one.xy_m - other.xy_m)) > _BESIDE_M for other in taken)
+
+
+def _company(view: SituationView) -> Iterator[Newcomer]:
+    """Cars on the lanes beside the target, and behind it, where nobody is yet."""
+    target, row = view.target, view.scene.target
+    if target is None or target.speed_mps < STOPS_FROM_MPS:
+        return
+    least = (_FROM_TARGET_M if begins(view) else _LATER_FROM_TARGET_M) + 1.0
+    for side, at in entrances(view, least):
+        way = view.neighbour(row, side) if side else target.way
+        if way is not None and way.lane.s_m + at > 0.0:
+            yield from _on_way(view, way, at, min(target.speed_mps, way.lane.speed_mps), AgentClass.CAR)
 
 
 def can_hide(view: SituationView) -> bool:

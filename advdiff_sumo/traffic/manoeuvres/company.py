@@ -1,0 +1,201 @@
+"""Who drives beside and behind the target while its leader stops: lawful, in nobody's way, and nearer than the leader.
+
+A planner that tracks the nearest few road users, or the nearest ahead alone, has them in mind in place of the leader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.frames import local_from_world, unit, wrap_angle
+from advdiff_sumo.metrics.safe_gap import safe_gap_m
+from advdiff_sumo.traffic.licence import LAWFUL, Licence
+from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, REACTION_S, TargetWay, needed_braking
+from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, DOUBLE, SAME_WAY, STOPS_FROM_MPS, hard_stop
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
+
+ACCOMPANIES = "accompanies"
+"""What somebody does who keeps its place beside or behind the target."""
+COMPANY = 3
+"""So many are nearer to the target than its leader."""
+_LENGTH_M = 4.6
+_FRONT_SHARE, _LEVEL_SHARE = 0.4, -0.1
+"""Places ahead of and level with the target, as shares of the distance that two keep on one lane."""
+_REACH_M = (-45.0, 66.0)
+_LEAST_ASIDE_M = 2.0
+_CLOSES_PER_S, _SETTLES_S, _GENTLY_MPS2 = 0.4, 0.8, 2.0
+_SLOWEST_SHARE, _SLOWER_MPS = 0.6, 6.0
+"""Who falls back to its place is no slower than this share of the target's speed, and by no more than that."""
+_GAINS_MPS, _SETTLED_MPS = 1.5, 1.0
+
+
+def stops_in_company(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+    """The target's leader stops hard while others are nearer to the target, or leads it until they are."""
+    for stop in hard_stop(view, row) if places(view) else ():
+        again = replace(stop, kind=DOUBLE)
+        if stop.sets_up or hides(view, again):
+            yield again
+
+
+def hides(view: SituationView, stop: Manoeuvre) -> bool:
+    """Return whether who minds only the nearest road users sees *stop* too late.
+
+    That is who minds the nearest ahead alone and, as long as the company may still come nearer, who minds the nearest
+    ``COMPANY``.
+    """
+    target = view.target
+    if target is None:
+        return False
+    futures = futures_of_manoeuvres([stop], np.array([view.speed(stop.row)]))
+    of_three, of_ahead = _masks(view, target, stop.row, futures.xy_m[0])
+    late = [_is_late(view, target, stop, futures, masked) for masked in (of_three, of_ahead)]
+    return bool(of_three[0]) and late[1] and (late[0] or _is_settled(view))
+
+
+def _is_late(
+    view: SituationView, target: TargetWay, stop: Manoeuvre, futures: ManoeuvreFutures, masked: BoolArray
+) -> bool:
+    """Return whether full braking as soon as *masked* (T,) ends is too late, with the target going on until then."""
+    seen_s = float(CHECK_TIMES_S[-1] if masked.all() else CHECK_TIMES_S[int(np.argmin(masked))])
+    perceived_s = np.array([max(seen_s - REACTION_S, 0.0)])
+    size = view.size(stop.row)[None]
+    return bool(
+        needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived_s)[0] > BRAKING_MPS2[-1]
+    )
+
+
+def _is_settled(view: SituationView) -> bool:
+    """Return whether the company is complete, and comes no nearer: all are about as fast as the target."""
+    speed = view.speed(view.scene.target)
+    for side, ahead_m in places(view).items():
+        there = accompanies(view, side)[: len(ahead_m)]
+        if len(there) < len(ahead_m) or any(abs(view.speed(row) - speed) > _SETTLED_MPS for row in there):
+            return False
+    return True
+
+
+def _masks(view: SituationView, target: TargetWay, row: int, xy_m: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return (T,) when *row*, at *xy_m* (T, 2), is none of the nearest ``COMPANY``, and not the nearest ahead."""
+    others = np.array([r for r in view.ways if r not in (row, view.scene.target)], dtype=np.int64)
+    place, yaw = target.way.poses(target.brakes((0.0,), 0.0)[0][0], CHECK_TIMES_S)
+    offset = view.coasting(others)[0] - place
+    apart = np.linalg.norm(offset, axis=-1)
+    nearer = apart < np.linalg.norm(xy_m - place, axis=-1)
+    ahead = (offset * unit(yaw)).sum(axis=-1) > 0.0
+    return nearer.sum(axis=0) >= COMPANY, (nearer & ahead).any(axis=0)
+
+
+def spacing_m(speed_mps: float) -> float:
+    """Return how far apart the centres of two cars are that keep the lawful gap at *speed_mps*."""
+    return LAWFUL.gap_share * safe_gap_m(speed_mps, speed_mps) + LAWFUL.spare_m + _LENGTH_M
+
+
+def places(view: SituationView) -> dict[str, tuple[float, ...]]:
+    """Return side → how far ahead of the target those are to drive that accompany it; "" is its own lane.
+
+    With a lane on either side nobody need follow; with none at all there is no company.
+    """
+    target, row = view.target, view.scene.target
+    if target is None:
+        return {}
+    apart = spacing_m(target.speed_mps)
+    front = _FRONT_SHARE * apart, (_FRONT_SHARE - 1.0) * apart
+    sides = [side for side in ("left", "right") if view.neighbour(row, side) is not None]
+    if len(sides) == 2:
+        return {sides[0]: front, sides[1]: (_LEVEL_SHARE * apart,)}
+    return {sides[0]: front, "": (-apart,)} if sides else {}
+
+
+def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
+    """Yield (side, how far ahead of the target) for where those come in that it lacks, *least_m* away at least.
+
+    Who is to drive behind it on a lane beside comes in ahead and falls back, unless it may drive faster.
+    """
+    target, row = view.target, view.scene.target
+    if target is None:
+        return
+    for side, ahead_m in places(view).items():
+        way = view.neighbour(row, side) if side else target.way
+        fastest = float(target.goes_on_mps.max()) + _GAINS_MPS
+        gains = not side or (way is not None and way.lane.speed_mps >= fastest)
+        next_m = least_m
+        for at in reversed(ahead_m[len(accompanies(view, side)) :]):
+            if at < 0.0 and (gains or at <= -least_m):
+                yield side, min(at, -least_m)
+            else:
+                yield side, max(at, next_m)
+                next_m = max(at, next_m) + spacing_m(target.speed_mps)
+
+
+def accompanying(
+    view: SituationView, busy: Container[int], licence: Licence | None = LAWFUL
+) -> list[Manoeuvre]:
+    """Return how those near, except the *busy* ones, get to their ``places`` or keep them.
+
+    Once the target brakes they are their own drivers again.
+    """
+    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS or target_brakes(view):
+        return []
+    out = []
+    for side, ahead_m in places(view).items():
+        near = [row for row in accompanies(view, side) if row not in busy]
+        out += [_keeping(view, view.target, row, at) for row, at in _assigned(view, near, ahead_m)]
+    futures = futures_of_manoeuvres(out, np.array([view.speed(m.row) for m in out]))
+    keeps = lawful(view, out, futures, licence) if out else ()
+    return [m for m, keep in zip(out, keeps, strict=True) if keep]
+
+
+def accompanies(view: SituationView, side: str) -> Sequence[int]:
+    """Return the rows of those on the lane to the target's *side*, or behind it for "", that may be moved."""
+    if not side:
+        return [row for row in (view.follower,) if row is not None and row in view.movable]
+    now, target = view.scene.history, view.scene.target
+    yaw = now.yaw_rad[:, -1]
+    sign = 1.0 if side == "left" else -1.0
+    rows = []
+    for row in view.movable:
+        ahead, left = _place(view, row)
+        beside = _LEAST_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
+        if beside and np.cos(float(wrap_angle(float(yaw[row] - yaw[target])))) > SAME_WAY:
+            rows.append((abs(ahead), row))
+    return [row for _, row in sorted(rows)]
+
+
+def _place(view: SituationView, row: int) -> tuple[float, float]:
+    """Return how far *row* is ahead of the target, and to its left."""
+    now, target = view.scene.history, view.scene.target
+    yaw = float(now.yaw_rad[target, -1])
+    ahead, left = local_from_world(now.xy_m[row, -1], now.xy_m[target, -1], yaw)
+    return float(ahead), float(left)
+
+
+def _assigned(
+    view: SituationView, near: Sequence[int], ahead_m: tuple[float, ...]
+) -> Iterator[tuple[int, float]]:
+    """Yield (row, place) for the nearest of *near*, in the order in which they drive."""
+    some = sorted(near[: len(ahead_m)], key=lambda row: -_place(view, row)[0])
+    if len(some) == len(ahead_m):
+        yield from zip(some, ahead_m, strict=True)
+    else:
+        for row in some:
+            at = _place(view, row)[0]
+            yield row, min(ahead_m, key=lambda place: abs(place - at))
+
+
+def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -> Manoeuvre:
+    """Return the speed that brings *row* gently to *ahead_m* of the target."""
+    way, drives = view.ways[row], view.speed(row)
+    limit = way.lane.speed_mps
+    lowest = max(_SLOWEST_SHARE * target.speed_mps, target.speed_mps - _SLOWER_MPS)
+    lacks = ahead_m - _place(view, row)[0]
+    aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
+    accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GENTLY_MPS2))
+    return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _SETTLES_S, 0.0, 0.0, limit), sets_up=True)

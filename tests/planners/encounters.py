@@ -49,6 +49,8 @@ CROSSING = (
     + "</edges>",
 )
 
+_ARMS = (("c", 0, 0), ("west", -300, 0), ("east", 300, 0), ("south", 0, -300))
+
 
 @dataclass(frozen=True)
 class Scripted:
@@ -182,9 +184,28 @@ def two_lanes(folder: Path, limit_mps: float) -> RoadMap:
     )
 
 
+def three_lanes(folder: Path, limit_mps: float) -> RoadMap:
+    """Return three straight lanes of 1 km."""
+    edges = TWO_LANES[1].replace('numLanes="2"', 'numLanes="3"').format(limit=limit_mps)
+    return RoadMap.read(build(folder, TWO_LANES[0], edges, name=f"three{limit_mps:g}"))
+
+
 def crossing(folder: Path, kind: str) -> RoadMap:
     """Return a crossing of single lanes, west to east with the right of way where *kind* knows any."""
     return RoadMap.read(build(folder, CROSSING[0].format(kind=kind), CROSSING[1], name=f"crossing-{kind}"))
+
+
+def bending(folder: Path) -> RoadMap:
+    """Return a junction of three arms whose main road bends: who comes from the east and turns south has priority."""
+    nodes = "<nodes>" + "".join(
+        f'<node id="{name}" x="{x}" y="{y}" type="priority"/>' for name, x, y in _ARMS
+    )
+    edges = "".join(
+        f'<edge id="{arm}_in" from="{arm}" to="c" speed="13.89" priority="{rank}"/>'
+        f'<edge id="{arm}_out" from="c" to="{arm}" speed="13.89" priority="{rank}"/>'
+        for arm, rank in (("west", 1), ("east", 3), ("south", 3))
+    )
+    return RoadMap.read(build(folder, nodes + "</nodes>", f"<edges>{edges}</edges>", name="bending"))
 
 
 def over(road: RoadMap, from_edge: str, to_edge: str) -> tuple[str, ...]:

@@ -7,7 +7,16 @@ from typing import Any
 
 import pytest
 
-from tests.planners.encounters import Encounter, Scripted, crossing, failed, over, two_lanes
+from tests.planners.encounters import (
+    Encounter,
+    Scripted,
+    bending,
+    crossing,
+    failed,
+    over,
+    three_lanes,
+    two_lanes,
+)
 
 SEED, MOTORCYCLE_FIRST = 3, 6
 """Of episodes; in the second a motorcycle comes in first."""
@@ -25,7 +34,14 @@ SHOWN_BY = [
     ("blind-standing", "beside", "queue", SEED),
     ("weak-brakes", "fast", "queue", SEED),
     ("blind-unprotected", "beside", "hard-stop", MOTORCYCLE_FIRST),
+    ("blind-oncoming", "turn_across", "oncoming", SEED),
+    ("priority", "turn_across", "oncoming", SEED),
+    ("blind-oncoming", "bend", "oncoming", SEED),
+    ("priority", "bend", "oncoming", SEED),
+    ("late", "between", "double", SEED),
+    ("headway", "between", "double", SEED),
 ]
+NARROW = ("NearestThree", "NearestAhead")
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +52,8 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
     north = ("south_in", "north_out")
     from_south = Scripted(over(sign, *north), 225.0, 11.0)
     left = ("west_in", "north_out")
+    bend, straight = bending(folder), ("west_in", "east_out")
+    three = three_lanes(folder, 14.0)
     beside = Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0)
     town = Encounter(two_lanes(folder, 9.0), Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0)
     fast = Encounter(two_lanes(folder, 33.0), Scripted(("WM_0", "ME_0"), 50.0, 31.0), ("WM", "ME"), (), 20.0)
@@ -46,6 +64,8 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),
         "red_light": Encounter(light, Scripted(over(light, *north), 190.0, 12.0), north, (), 14.0),
         "beside": beside,
+        "bend": Encounter(bend, Scripted(over(bend, *straight), 225.0, 11.0), straight, (), 12.0),
+        "between": Encounter(three, Scripted(("WM_1", "ME_1"), 50.0, 12.5), ("WM", "ME"), (), 20.0),
     }
 
 
@@ -73,3 +93,17 @@ def test_an_encounter_is_staged_that_shows_the_defect(
     row = drive(encounters[encounter], attack, [f"{defect}:strong"], seed)
     assert failed(row)
     assert row["lawful"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", NARROW)
+@pytest.mark.parametrize("encounter", ["between", "beside"])
+def test_who_minds_only_the_nearest_runs_into_a_leader_in_company(
+    planner: str, encounter: str, encounters: dict[str, Encounter]
+) -> None:
+    row = drive(encounters[encounter], "double", [], SEED, f"tests.planners.narrow_planners:{planner}")
+    assert failed(row)
+    assert row["lawful"]
+    alone = drive(encounters[encounter], "hard-stop", [], SEED, f"tests.planners.narrow_planners:{planner}")
+    assert alone["in_position"]
+    assert not alone["target_collision"]

@@ -1,0 +1,145 @@
+"""A leader that stops while others are nearer to the target: where they drive, and when it hides among them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.choice import rank
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.company import (
+    accompanying,
+    entrances,
+    hides,
+    places,
+    spacing_m,
+    stops_in_company,
+)
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
+from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, come_in
+from tests.traffic.manoeuvres.scenes import scene_on, view_of
+
+TARGET = {"target": (1, 100.0, 20.0)}
+LEADER = {"leader": (1, 136.6, 20.0)}
+FRONT, REAR, LEVEL = {"front": (2, 108.0, 20.0)}, {"rear": (2, 87.0, 20.0)}, {"level": (0, 98.0, 20.0)}
+
+
+def stop(view: SituationView) -> bool:
+    """Return whether the leader, row 1, may stop."""
+    return any(not one.sets_up for one in stops_in_company(view, 1))
+
+
+def test_the_company_keeps_lawful_gaps(motorway: RoadMap) -> None:
+    """At 20 m/s: 1.1 · 0.75 s · 20 m/s, 1 m and a car of 4.6 m are 22.1 m, of which 0.4 lie ahead of the target."""
+    assert spacing_m(20.0) == pytest.approx(22.1)
+    between = places(view_of(motorway, **TARGET))
+    assert between["left"] == pytest.approx((8.84, -13.26))
+    assert between["right"] == pytest.approx((-2.21,))
+    rightmost = places(view_of(motorway, target=(0, 100.0, 20.0)))
+    assert rightmost.keys() == {"left", ""}
+    assert rightmost[""] == pytest.approx((-22.1,))
+
+
+def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
+    lane = next(
+        lane
+        for lane in downtown.lanes.values()
+        if lane.is_drivable and not lane.is_internal and not lane.left_id and not lane.right_id
+    )
+    view = SituationView.of(downtown, scene_on({"target": (lane, 5.0, 10.0), "leader": (lane, 28.0, 10.0)}))
+    assert places(view) == {}
+    assert not list(stops_in_company(view, 1))
+    assert come_in(view, StagingMemory(most=6), (DOUBLE,))[0] == ()
+
+
+@pytest.mark.parametrize(
+    ("company", "stops"),
+    [
+        (FRONT | REAR | LEVEL, True),
+        (REAR | LEVEL, False),  # the leader is the nearest ahead
+        (FRONT | REAR, False),  # it is one of the nearest three
+        ({"front": (2, 108.0, 20.0), "rear": (2, 60.0, 20.0)} | LEVEL, False),  # one is behind by more
+        ({}, False),
+    ],
+)
+def test_the_leader_stops_where_three_are_nearer(
+    company: dict[str, tuple[int, float, float]], stops: bool, motorway: RoadMap
+) -> None:
+    view = view_of(motorway, **TARGET, **LEADER, **company)
+    assert stop(view) == stops
+    assert any(one.sets_up for one in stops_in_company(view, 1))
+
+
+def test_a_careful_driver_answers_the_stop(motorway: RoadMap) -> None:
+    """32.1 m of gap and 20²/(2 · 6) m of the leader's way less 15.1 m in 0.75 s: 50 m, for 20.4 m/s 4.2 m/s²."""
+    view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
+    stops = [one for one in stops_in_company(view, 1) if one.profile.then_mps2 == -6.0]
+    (chosen,) = rank(view, stops, {DOUBLE: 1.0})
+    assert chosen.needed_mps2 == 5.0
+    assert hides(view, chosen.manoeuvre)
+
+
+def test_who_falls_too_far_back_hides_nobody(motorway: RoadMap) -> None:
+    """With everybody at 10 m/s but the target the company is 20 m behind when the leader stands."""
+    slow = {name: (lane, at, 10.0) for name, (lane, at, _) in (FRONT | REAR | LEVEL).items()}
+    assert not stop(view_of(motorway, **TARGET, **LEADER, **slow))
+
+
+def test_the_company_gets_to_its_places_within_the_limit(motorway: RoadMap) -> None:
+    """The front one at 30 m and the rear one level with the target both fall back; the right one draws level."""
+    cars = {"front": (2, 130.0, 20.0), "rear": (2, 100.0, 20.0), "level": (0, 85.0, 20.0)}
+    view = view_of(motorway, **TARGET, **cars)
+    gains = {m.row: m.profile.first_mps2 for m in accompanying(view, ())}
+    assert gains[1] < 0.0
+    assert gains[2] < 0.0
+    assert gains[3] > 0.0
+    assert all(m.profile.highest_mps == m.way.lane.speed_mps for m in accompanying(view, ()))
+    assert {m.row for m in accompanying(view, {1})} == {2, 3}
+
+
+def test_who_would_touch_somebody_is_its_own_driver(motorway: RoadMap) -> None:
+    """Somebody stands 20 m ahead of the front one, on its lane."""
+    view = view_of(motorway, **TARGET, **FRONT, stands=(2, 128.0, 0.0))
+    assert 1 not in {m.row for m in accompanying(view, ())}
+
+
+def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
+    view = view_of(motorway, **TARGET, **FRONT, **REAR)
+    assert accompanying(view, ())
+    speed = view.scene.history.speed_mps.copy()
+    speed[0, -2] = 21.0
+    history = replace(view.scene.history, speed_mps=speed)
+    braking = SituationView.of(motorway, replace(view.scene, history=history))
+    assert accompanying(braking, ()) == []
+
+
+def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:
+    """On an empty road a leader and three more, all of them cars but the leader, with room for as many as may come."""
+    view = view_of(motorway, **TARGET)
+    assert dict(entrances(view, 19.0)) == {"left": pytest.approx(19.0), "right": pytest.approx(-19.0)}
+    (leader, *company), stage = come_in(view, StagingMemory(most=6, classes=(AgentClass.TRUCK,)), (DOUBLE,))
+    assert stage.count == 4
+    assert leader.agent_class is AgentClass.TRUCK
+    assert {one.agent_class for one in company} == {AgentClass.CAR}
+    assert view.target is not None
+    ahead, left = view.target.way.line.project(np.array([one.xy_m for one in (leader, *company)]))
+    assert ahead - 100.0 == pytest.approx([38.0, -19.0, 19.0, -19.0], abs=0.5)
+    assert np.sign(np.round(left)).tolist() == [0.0, 1.0, 1.0, -1.0]
+    assert len(come_in(view, StagingMemory(most=2), (DOUBLE,))[0]) == 2
+    assert come_in(view, StagingMemory(most=0), (DOUBLE,))[0] == ()
+
+
+def test_an_episode_of_double_is_about_nothing_else(motorway: RoadMap) -> None:
+    kept = Commitments.start("double", np.random.default_rng(3), staged=6)
+    view = view_of(motorway, **TARGET)
+    newcomers, kept = let_in(view, kept)
+    assert kept.wanted(view) == (DOUBLE,)
+    assert len(newcomers) == 4
+    assert kept.attacking == ()
+    assert DOUBLE not in Commitments.start("any", np.random.default_rng(3), staged=6).weights

@@ -1,0 +1,103 @@
+"""Crossings by who comes from ahead alone: who comes in, who begins, and how fast who turns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import Scene
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, from_ahead
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches, turning_mps
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from tests.planners.encounters import Encounter, Scripted, bending, crossing, over
+
+LEFT, NORTH, STRAIGHT = ("west_in", "north_out"), ("south_in", "north_out"), ("west_in", "east_out")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("nets")
+
+
+@pytest.fixture(scope="module")
+def sign(folder: Path) -> RoadMap:
+    return crossing(folder, "priority")
+
+
+@pytest.fixture(scope="module")
+def bend(folder: Path) -> RoadMap:
+    return bending(folder)
+
+
+def before(road: RoadMap, route: tuple[str, str], *others: tuple[tuple[str, str], float]) -> SituationView:
+    """Return the target 33 m before the junction at 11 m/s, and *others*: (route, speed) 18 m before it."""
+    cars = [
+        Scripted(over(road, *way), road.lanes[f"{way[0]}_0"].length_m - away, speed)
+        for way, speed, away in ((route, 11.0, 33.0), *((*one, 18.0) for one in others))
+    ]
+    seed = Encounter(road, cars[0], route, tuple(cars[1:])).scene()
+    routes = (route, *(way for way, _ in others))
+    movable = np.arange(len(cars)) > 0
+    return SituationView.of(road, Scene(seed.history, 0, movable, routes, {}))
+
+
+def test_who_turns_left_meets_oncoming_traffic_alone(sign: RoadMap) -> None:
+    """From the west to the north: the east goes first, and the south and the north have to wait themselves."""
+    met = list(approaches(before(sign, LEFT), True, None, True))
+    assert met
+    assert {one.way.present_lane.id for one in met} == {"east_in_0"}
+    assert {one.way.links[0][1].direction for one in met} == {"s"}
+
+
+@pytest.mark.parametrize("route", [NORTH, STRAIGHT])
+def test_nobody_comes_from_ahead_who_has_no_priority(route: tuple[str, str], sign: RoadMap) -> None:
+    """From the south those of the main road come from the sides; on it, who would turn across it has to wait."""
+    view = before(sign, route)
+    assert bool(list(approaches(view, True))) == (route == NORTH)
+    assert not list(approaches(view, True, None, True))
+    kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
+    assert let_in(view, kept)[0] == ()
+
+
+def test_who_turns_on_a_bending_main_road_is_as_slow_as_the_bend(bend: RoadMap) -> None:
+    """A quarter turn of 14.2 m has a radius of 9 m: 2.5 m/s² sideways allow 4.75 m/s, a little more between corners."""
+    met = list(approaches(before(bend, STRAIGHT), True, None, True))
+    assert {one.way.links[0][1].direction for one in met} == {"l"}
+    link = met[0].way.links[0][1]
+    assert turning_mps(bend, link) == pytest.approx(4.75, abs=0.6)
+    assert max(one.speed_mps for one in met) <= turning_mps(bend, link)
+    straight = next(x for x in bend.lanes["east_in_0"].successors if x.direction == "s")
+    assert turning_mps(bend, straight) == pytest.approx(13.89)
+
+
+def test_only_who_comes_from_ahead_begins(sign: RoadMap) -> None:
+    ahead = before(sign, LEFT, (("east_in", "west_out"), 11.0))
+    crossings = list(KINDS["crossing"](ahead, 1))
+    assert crossings
+    assert list(from_ahead(ahead, crossings, alone=True)) == crossings
+    aside = before(sign, NORTH, (("east_in", "west_out"), 11.0))
+    crossings = list(KINDS["crossing"](aside, 1))
+    assert crossings
+    assert list(from_ahead(aside, crossings, alone=True)) == []
+    assert list(from_ahead(aside, crossings, alone=False)) == crossings
+
+
+@pytest.mark.parametrize(("speed_mps", "begins"), [(5.0, True), (11.0, False)])
+def test_nobody_begins_to_turn_faster_than_its_bend(speed_mps: float, begins: bool, bend: RoadMap) -> None:
+    view = before(bend, STRAIGHT, (("east_in", "south_out"), speed_mps))
+    timed = list(from_ahead(view, KINDS["crossing"](view, 1), alone=True))
+    assert bool(timed) == begins
+    assert all(one.profile.highest_mps < 6.0 for one in timed)
+
+
+def test_it_is_called_a_crossing_in_records() -> None:
+    kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
+    assert tuple(kept.weights) == ("crossing",)
+    assert kept.stage.only_oncoming
+    assert not Commitments.start("crossing", np.random.default_rng(1), staged=6).stage.only_oncoming

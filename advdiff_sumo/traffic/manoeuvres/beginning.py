@@ -9,10 +9,10 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, waits_at_red
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, PATIENT_S, SUPPORTS, Commitments
-from advdiff_sumo.traffic.manoeuvres.company import stops_in_company
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
 from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded
+from advdiff_sumo.traffic.manoeuvres.hidden_stop import stops_in_company
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_due, perceived_s

@@ -6,21 +6,19 @@ A planner that tracks the nearest few road users, or the nearest ahead alone, ha
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.frames import local_from_world, unit, wrap_angle
+from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, REACTION_S, TargetWay, needed_braking
+from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, DOUBLE, SAME_WAY, STOPS_FROM_MPS, hard_stop
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, SAME_WAY, STOPS_FROM_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 
 ACCOMPANIES = "accompanies"
 """What somebody does who keeps its place beside or behind the target."""
@@ -32,65 +30,9 @@ _FRONT_SHARE, _LEVEL_SHARE = 0.4, -0.1
 _REACH_M = (-45.0, 66.0)
 _LEAST_ASIDE_M = 2.0
 _CLOSES_PER_S, _SETTLES_S, _GENTLY_MPS2 = 0.4, 0.8, 2.0
-_SLOWEST_SHARE, _SLOWER_MPS = 0.6, 6.0
+_SLOWEST_SHARE, _SLOWER_MPS = 0.5, 7.0
 """Who falls back to its place is no slower than this share of the target's speed, and by no more than that."""
-_GAINS_MPS, _SETTLED_MPS = 1.5, 1.0
-
-
-def stops_in_company(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """The target's leader stops hard while others are nearer to the target, or leads it until they are."""
-    for stop in hard_stop(view, row) if places(view) else ():
-        again = replace(stop, kind=DOUBLE)
-        if stop.sets_up or hides(view, again):
-            yield again
-
-
-def hides(view: SituationView, stop: Manoeuvre) -> bool:
-    """Return whether who minds only the nearest road users sees *stop* too late.
-
-    That is who minds the nearest ahead alone and, as long as the company may still come nearer, who minds the nearest
-    ``COMPANY``.
-    """
-    target = view.target
-    if target is None:
-        return False
-    futures = futures_of_manoeuvres([stop], np.array([view.speed(stop.row)]))
-    of_three, of_ahead = _masks(view, target, stop.row, futures.xy_m[0])
-    late = [_is_late(view, target, stop, futures, masked) for masked in (of_three, of_ahead)]
-    return bool(of_three[0]) and late[1] and (late[0] or _is_settled(view))
-
-
-def _is_late(
-    view: SituationView, target: TargetWay, stop: Manoeuvre, futures: ManoeuvreFutures, masked: BoolArray
-) -> bool:
-    """Return whether full braking as soon as *masked* (T,) ends is too late, with the target going on until then."""
-    seen_s = float(CHECK_TIMES_S[-1] if masked.all() else CHECK_TIMES_S[int(np.argmin(masked))])
-    perceived_s = np.array([max(seen_s - REACTION_S, 0.0)])
-    size = view.size(stop.row)[None]
-    return bool(
-        needed_braking(target, futures.xy_m, futures.yaw_rad, size, perceived_s)[0] > BRAKING_MPS2[-1]
-    )
-
-
-def _is_settled(view: SituationView) -> bool:
-    """Return whether the company is complete, and comes no nearer: all are about as fast as the target."""
-    speed = view.speed(view.scene.target)
-    for side, ahead_m in places(view).items():
-        there = accompanies(view, side)[: len(ahead_m)]
-        if len(there) < len(ahead_m) or any(abs(view.speed(row) - speed) > _SETTLED_MPS for row in there):
-            return False
-    return True
-
-
-def _masks(view: SituationView, target: TargetWay, row: int, xy_m: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Return (T,) when *row*, at *xy_m* (T, 2), is none of the nearest ``COMPANY``, and not the nearest ahead."""
-    others = np.array([r for r in view.ways if r not in (row, view.scene.target)], dtype=np.int64)
-    place, yaw = target.way.poses(target.brakes((0.0,), 0.0)[0][0], CHECK_TIMES_S)
-    offset = view.coasting(others)[0] - place
-    apart = np.linalg.norm(offset, axis=-1)
-    nearer = apart < np.linalg.norm(xy_m - place, axis=-1)
-    ahead = (offset * unit(yaw)).sum(axis=-1) > 0.0
-    return nearer.sum(axis=0) >= COMPANY, (nearer & ahead).any(axis=0)
+_GAINS_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
 
 
 def spacing_m(speed_mps: float) -> float:
@@ -199,3 +141,14 @@ def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -
     aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GENTLY_MPS2))
     return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _SETTLES_S, 0.0, 0.0, limit), sets_up=True)
+
+
+def is_settled(view: SituationView) -> bool:
+    """Return whether nobody of the company comes nearer: all of those near are about as fast as the target."""
+    speed = view.speed(view.scene.target)
+    near = (
+        (row, _place(view, row)[0])
+        for side, ahead_m in places(view).items()
+        for row in accompanies(view, side)[: len(ahead_m)]
+    )
+    return all(abs(view.speed(row) - speed) <= _SETTLED_MPS for row, at in near if abs(at) < _JOINS_M)

@@ -21,7 +21,7 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 DOUBLE = "double"
-"""The kind of a leader that stops while others are nearer, see ``company``."""
+"""The kind of a leader that stops while others are nearer, see ``hidden_stop``."""
 STOPPING_KINDS = ("hard-stop", "blocked-lane", DOUBLE)
 """Kinds that end in a stop in the lane."""
 ENDS_STANDING = (*STOPPING_KINDS, "cut-in")

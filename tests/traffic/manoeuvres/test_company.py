@@ -14,11 +14,10 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.company import (
     accompanying,
     entrances,
-    hides,
     places,
     spacing_m,
-    stops_in_company,
 )
+from advdiff_sumo.traffic.manoeuvres.hidden_stop import hides, stops_in_company
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -63,12 +62,12 @@ def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
     [
         (FRONT | REAR | LEVEL, True),
         (REAR | LEVEL, False),  # the leader is the nearest ahead
-        (FRONT | REAR, False),  # it is one of the nearest three
-        ({"front": (2, 108.0, 20.0), "rear": (2, 60.0, 20.0)} | LEVEL, False),  # one is behind by more
+        (FRONT | REAR, True),  # it is one of the nearest three, but nobody else comes
+        (FRONT | REAR | {"late": (0, 140.0, 15.0)}, False),  # somebody does, and is not there yet
         ({}, False),
     ],
 )
-def test_the_leader_stops_where_three_are_nearer(
+def test_the_leader_stops_where_others_are_nearer(
     company: dict[str, tuple[int, float, float]], stops: bool, motorway: RoadMap
 ) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **company)

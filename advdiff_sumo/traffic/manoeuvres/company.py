@@ -13,7 +13,6 @@ from advdiff_sumo.core.frames import local_from_world, wrap_angle
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
-from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, SAME_WAY, STOPS_FROM_MPS
@@ -32,6 +31,8 @@ _LEAST_ASIDE_M = 2.0
 _CLOSES_PER_S, _SETTLES_S, _GENTLY_MPS2 = 0.4, 0.8, 2.0
 _SLOWEST_SHARE, _SLOWER_MPS = 0.5, 7.0
 """Who falls back to its place is no slower than this share of the target's speed, and by no more than that."""
+_BRAKES_MPS2 = 2.5
+"""Who brakes harder answers something."""
 _GAINS_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
 
 
@@ -50,7 +51,12 @@ def places(view: SituationView) -> dict[str, tuple[float, ...]]:
         return {}
     apart = spacing_m(target.speed_mps)
     front = _FRONT_SHARE * apart, (_FRONT_SHARE - 1.0) * apart
-    sides = [side for side in ("left", "right") if view.neighbour(row, side) is not None]
+    inside = target.way.present_lane.is_internal  # a lane of a junction has none beside it
+    sides = [
+        side
+        for side in ("left", "right")
+        if (accompanies(view, side) if inside else view.neighbour(row, side))
+    ]
     if len(sides) == 2:
         return {sides[0]: front, sides[1]: (_LEVEL_SHARE * apart,)}
     return {sides[0]: front, "": (-apart,)} if sides else {}
@@ -84,7 +90,7 @@ def accompanying(
 
     Once the target brakes they are their own drivers again.
     """
-    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS or target_brakes(view):
+    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS or _target_brakes(view):
         return []
     out = []
     for side, ahead_m in places(view).items():
@@ -132,13 +138,20 @@ def _assigned(
             yield row, min(ahead_m, key=lambda place: abs(place - at))
 
 
+def _target_brakes(view: SituationView) -> bool:
+    history = view.scene.history
+    speed = history.speed_mps[view.scene.target]
+    return len(speed) > 1 and bool((speed[-2] - speed[-1]) / history.dt_s > _BRAKES_MPS2)
+
+
 def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -> Manoeuvre:
     """Return the speed that brings *row* gently to *ahead_m* of the target."""
     way, drives = view.ways[row], view.speed(row)
     limit = way.lane.speed_mps
     lowest = max(_SLOWEST_SHARE * target.speed_mps, target.speed_mps - _SLOWER_MPS)
+    then = target.speed_mps + _SETTLES_S * view.gains_mps2(view.scene.target)
     lacks = ahead_m - _place(view, row)[0]
-    aims = float(np.clip(target.speed_mps + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
+    aims = float(np.clip(then + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GENTLY_MPS2))
     return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _SETTLES_S, 0.0, 0.0, limit), sets_up=True)
 

@@ -112,7 +112,7 @@ def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **FRONT, **REAR)
     assert accompanying(view, ())
     speed = view.scene.history.speed_mps.copy()
-    speed[0, -2] = 21.0
+    speed[0, -2] = 21.5
     history = replace(view.scene.history, speed_mps=speed)
     braking = SituationView.of(motorway, replace(view.scene, history=history))
     assert accompanying(braking, ()) == []

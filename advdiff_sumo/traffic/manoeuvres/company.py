@@ -46,20 +46,27 @@ def places(view: SituationView) -> dict[str, tuple[float, ...]]:
 
     With a lane on either side nobody need follow; with none at all there is no company.
     """
-    target, row = view.target, view.scene.target
+    target = view.target
     if target is None:
         return {}
     apart = spacing_m(target.speed_mps)
     front = _FRONT_SHARE * apart, (_FRONT_SHARE - 1.0) * apart
-    inside = target.way.present_lane.is_internal  # a lane of a junction has none beside it
-    sides = [
-        side
-        for side in ("left", "right")
-        if (accompanies(view, side) if inside else view.neighbour(row, side))
-    ]
+    sides = [side for side in ("left", "right") if _is_beside(view, target, side)]
     if len(sides) == 2:
         return {sides[0]: front, sides[1]: (_LEVEL_SHARE * apart,)}
     return {sides[0]: front, "": (-apart,)} if sides else {}
+
+
+def _is_beside(view: SituationView, target: TargetWay, side: str) -> bool:
+    """Return whether there is a lane to the target's *side* that neither ends nor leads into the target's way.
+
+    A lane of a junction has none beside it: there it is whether somebody drives there.
+    """
+    if target.way.present_lane.is_internal:
+        return bool(accompanies(view, side))
+    way = view.neighbour(view.scene.target, side)
+    own = {lane.id for lane in target.way.lane.lanes}
+    return way is not None and way.lane.end_m == np.inf and not any(x.id in own for x in way.lane.lanes)
 
 
 def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
+
+import pytest
 
 from advdiff_sumo.report.attack_words import out_of_position, position_lines
+from advdiff_sumo.traffic.scripted.scripted_policy import Kind
 
 
 def row(attack: str | None, in_position: bool | None) -> dict[str, Any]:
@@ -24,6 +27,11 @@ def test_every_kind_has_its_line_and_an_unknown_one_its_name() -> None:
         "no one was in a position to attack as 'swarm'",
         "no one was in a position to attack",
     ]
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_every_lawful_kind_has_words(kind: str) -> None:
+    assert out_of_position(row(kind, False)) != f"attack as '{kind}'"
 
 
 def test_nothing_is_said_without_an_attack_or_in_folders_of_earlier_versions() -> None:

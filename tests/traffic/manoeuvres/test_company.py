@@ -57,6 +57,21 @@ def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
     assert come_in(view, StagingMemory(most=6), (DOUBLE,))[0] == ()
 
 
+def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: RoadMap) -> None:
+    """Of two lanes side by side that lead into one, or of which one ends, neither has company on the other."""
+    count = 0
+    for lane in motorway.lanes.values():
+        beside = motorway.lanes[lane.left_id] if lane.left_id and not lane.is_internal else None
+        if beside is None or not beside.is_drivable or not lane.is_drivable or lane.length_m < 60.0:
+            continue
+        onto, theirs = ({link.to_lane for link in one.successors} for one in (lane, beside))
+        if len(onto) == 1 and (not theirs or theirs == onto):
+            view = SituationView.of(motorway, scene_on({"target": (lane, lane.length_m - 40.0, 20.0)}))
+            assert "left" not in places(view)
+            count += 1
+    assert count
+
+
 @pytest.mark.parametrize(
     ("company", "stops"),
     [

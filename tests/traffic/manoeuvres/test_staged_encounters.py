@@ -38,7 +38,7 @@ SHOWN_BY = [
     ("priority", "turn_across", "oncoming", SEED),
     ("blind-oncoming", "bend", "oncoming", SEED),
     ("priority", "bend", "oncoming", SEED),
-    ("late", "beside", "double", SEED),
+    ("late", "fast", "double", SEED),
     ("headway", "between", "double", SEED),
 ]
 NARROW = ("NearestThree", "NearestAhead")

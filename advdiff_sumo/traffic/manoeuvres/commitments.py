@@ -70,6 +70,7 @@ class Commitments:
         blocked_s: id → since when the target's box has been on its way, where SUMO does not see it.
         preference: of encounters in which the target is predicted to fail; None: nothing is known.
         standing: who stands ahead for an encounter.
+        company: ids of those who accompany the target now, see ``company``.
     """
 
     weights: Mapping[str, float]
@@ -82,6 +83,7 @@ class Commitments:
     blocked_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
     standing: StandingTraffic = field(default_factory=StandingTraffic)
+    company: tuple[str, ...] = ()
 
     def wanted(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
@@ -123,13 +125,17 @@ class Commitments:
 
     @property
     def manoeuvres(self) -> Mapping[str, str]:
-        """Id → the kind of manoeuvre that it drives; who follows does nothing."""
+        """Id → the kind of manoeuvre that it drives, or takes part in; who follows does nothing."""
         kinds = {
             name: under_way.kind
             for name, under_way in self.active.items()
             if not under_way.sets_up and under_way.kind != FOLLOWS
         }
-        return {**kinds, **dict.fromkeys(self.standing.names, self.standing.kind)}
+        return {
+            **dict.fromkeys(self.company, DOUBLE),
+            **kinds,
+            **dict.fromkeys(self.standing.names, self.standing.kind),
+        }
 
     @staticmethod
     def start(

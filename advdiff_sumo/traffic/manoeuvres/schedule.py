@@ -46,12 +46,11 @@ def advance(
     features = {one.manoeuvre.row: one.features for one in chosen}
     fresh = [one.manoeuvre for one in chosen]
     fresh += behind_target(view, [*going, *fresh], fresh, licence)
-    driven = [*going, *fresh]
-    if DOUBLE in kept.wanted(view):
-        driven += accompanying(view, {m.row for m in driven}, licence)
-    names, now = view.scene.history.ids, view.scene.time_s
+    driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
+    company = accompanying(view, {m.row for m in driven}, licence) if DOUBLE in kept.wanted(view) else []
+    kept = replace(kept, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    return driven, replace(kept, active={**kept.active, **begun})
+    return [*driven, *company], replace(kept, active={**kept.active, **begun})
 
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:

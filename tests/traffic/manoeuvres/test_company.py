@@ -12,6 +12,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.company import (
+    ACCOMPANIES,
     accompanying,
     entrances,
     places,
@@ -19,7 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.company import (
 )
 from advdiff_sumo.traffic.manoeuvres.hidden_stop import hides, stops_in_company
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
-from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, come_in
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
@@ -131,6 +132,16 @@ def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
     history = replace(view.scene.history, speed_mps=speed)
     braking = SituationView.of(motorway, replace(view.scene, history=history))
     assert accompanying(braking, ()) == []
+
+
+def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: RoadMap) -> None:
+    view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
+    driven, kept = advance(view, Commitments({DOUBLE: 1.0}), 1, 8.0)
+    assert [m.kind for m in driven] == [DOUBLE, *[ACCOMPANIES] * 3]
+    assert kept.active.keys() == {"leader"}
+    assert kept.manoeuvres == dict.fromkeys(("front", "rear", "level"), DOUBLE)
+    assert kept.attacking == ()
+    assert advance(view, Commitments({"hard-stop": 1.0}), 1, 8.0)[1].manoeuvres == {}
 
 
 def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:

@@ -105,7 +105,8 @@ def build(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG...", help="nuScenes dataset roots, ScenarioNet records or folders of runs."
+            metavar="LOG...",
+            help="Logs of nuScenes, ScenarioNet, Argoverse 2 or CommonRoad, or folders of runs.",
         ),
     ],
     out: Annotated[

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
@@ -17,7 +18,9 @@ DT_S = 0.1
 EGO = "AV"
 PREFIX = "scenario_"
 SCENARIOS = f"{PREFIX}*.parquet"
-COLUMNS = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
+COLUMNS = (
+    "track_id", "object_type", "timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y",
+)  # fmt: skip
 CLASSES = {
     "vehicle": AgentClass.CAR,
     "bus": AgentClass.BUS,
@@ -32,6 +35,8 @@ SIZES_M = {  # the files hold no sizes
     AgentClass.BICYCLE: (1.8, 0.7),
     AgentClass.PEDESTRIAN: (0.6, 0.6),
 }
+PARKED_RECORDED_MPS = 0.5
+"""Who is recorded at no higher speed at any instant is parked, though its box wanders by metres as it is seen anew."""
 _AGAIN = "give an unchanged scenario_*.parquet"
 
 
@@ -90,9 +95,17 @@ def _scene(name: str, path: Path, table: dict[str, Any]) -> LogScene:
     tracks = _tracks(table, ids, [kinds[track] for track in ids])
     ego = ids.index(EGO)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
+    parked |= _recorded_standing(table, ids) & (tracks.classes != AgentClass.PEDESTRIAN)
     parked[ego] = False
     tracks = without_jitter(tracks, parked, ego)
     return LogScene(name, f"log_map_archive_{name}", tracks, ego, parked, path)
+
+
+def _recorded_standing(table: dict[str, Any], ids: list[str]) -> BoolArray:
+    """Return which agents (A,) have no recorded speed over :data:`PARKED_RECORDED_MPS`."""
+    fast = np.hypot(table["velocity_x"], table["velocity_y"]) > PARKED_RECORDED_MPS
+    moving = {str(track) for track in table["track_id"][fast]}
+    return np.array([track not in moving for track in ids])
 
 
 def _tracks(table: dict[str, Any], ids: list[str], kinds: list[AgentClass | None]) -> Tracks:

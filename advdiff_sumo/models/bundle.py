@@ -111,7 +111,7 @@ def load_bundle(path: Path) -> Bundle:
     Raises:
         WeightsError: no such file, another format, or tensors that do not fit the options in its header.
     """
-    missing = "train it, or leave the option out for the shipped weights"
+    missing = "train it, or name shipped weights: traffic or closed-loop"
     header, tensors = read_stored(path, FORMAT, missing, AGAIN)
     bundle = new_bundle(BundleOptions.parse(stored_options(header, path, AGAIN), f"{path}: its options"))
     for name, network in bundle.modules().items():

@@ -142,7 +142,9 @@ def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, Windo
     names = np.array([_drive(windows.files[f], r) for f, r in zip(windows.file, windows.row, strict=True)])
     rank = {name: tree.child(name).integer(53) / 2.0**53 for name in sorted(set(names))}
     if len(rank) < 2:
-        raise ConfigError("all windows are of one drive, so none can be held out; add more data, or --val")
+        raise ConfigError(
+            "all windows are of one drive, so none can be held out; add more data, or --val (train) or --all (evaluate)"
+        )
     ordered = sorted(rank, key=lambda name: (rank[name], name))
     out = [name for name in ordered[:-1] if rank[name] < share] or ordered[:1]
     held = np.isin(names, out)

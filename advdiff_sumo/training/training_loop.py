@@ -312,8 +312,8 @@ def _finite(terms: dict[str, Tensor], progress: TrainingProgress) -> None:
     for name, value in terms.items():
         if not math.isfinite(float(value.detach())):
             raise TrainingError(
-                f"step {progress.step} of epoch {progress.epoch + 1}: '{name}' is {float(value.detach())}; the last "
-                "checkpoint is kept: resume with a lower --set learning_rate in a new --out, or look at the data"
+                f"step {progress.step} of epoch {progress.epoch + 1}: '{name}' is {float(value.detach())}; begin "
+                "again in a new --out with a lower --set learning_rate, or look at the data"
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,19 @@ import pytest
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data import Argoverse2Reader, CommonRoadReader, open_log
+from advdiff_sumo.data.argoverse2_log import COLUMNS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "maps" / "convert"))
 import small_sources
 
 
-def write_scenario(path: Path, **changes: object) -> Path:
+def write_scenario(path: Path, more: Iterable[tuple[object, ...]] = (), **changes: object) -> Path:
     """Write the recording vehicle at 10 m/s eastwards, someone on foot from step 5 on, and a bollard."""
-    rows = [("AV", "vehicle", k, 1.0 * k, 0.0, 0.0) for k in range(20)]
-    rows += [("7", "pedestrian", k, 5.0, 4.0 + 0.1 * k, 0.5 * np.pi) for k in range(5, 20)]
-    rows += [("8", "static", k, 9.0, 9.0, 0.0) for k in range(20)]
-    names = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
-    table = {name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)}
+    rows = [("AV", "vehicle", k, 1.0 * k, 0.0, 0.0, 10.0, 0.0) for k in range(20)]
+    rows += [("7", "pedestrian", k, 5.0, 4.0 + 0.1 * k, 0.5 * np.pi, 0.0, 1.0) for k in range(5, 20)]
+    rows += [("8", "static", k, 9.0, 9.0, 0.0, 0.0, 0.0) for k in range(20)]
+    rows += list(more)
+    table = {name: list(values) for name, values in zip(COLUMNS, zip(*rows, strict=True), strict=True)}
     table.update(changes)
     pq.write_table(pa.table({key: value for key, value in table.items() if value is not None}), path)
     return path
@@ -42,6 +44,24 @@ def test_argoverse2_tracks(tmp_path: Path) -> None:
     assert scene.tracks.valid[1].tolist() == [False] * 5 + [True] * 15
     assert scene.tracks.speed_mps[0] == pytest.approx(np.full(20, 10.0))
     assert scene.tracks.speed_mps[1, 5:] == pytest.approx(np.full(15, 1.0))
+
+
+def test_argoverse2_parks_whom_the_log_calls_standing_while_its_box_wanders(tmp_path: Path) -> None:
+    def wanderer(name: str, kind: str, fastest_mps: float) -> list[tuple[object, ...]]:
+        speeds = [fastest_mps if k == 10 else 0.0 for k in range(20)]
+        return [
+            (name, kind, k, 20.0, 3.0 * np.sin(0.3 * k), 0.5 * np.pi, 0.0, v) for k, v in enumerate(speeds)
+        ]
+
+    agents = (("stands", "vehicle", 0.4), ("drives", "vehicle", 0.6), ("walks", "pedestrian", 0.4))
+    rows = [row for agent in agents for row in wanderer(*agent)]
+    (scene,) = Argoverse2Reader(write_scenario(tmp_path / "scenario_x.parquet", rows)).scenes()
+    assert dict(zip(scene.tracks.ids, scene.parked, strict=True)) == {
+        "AV": False, "7": False, "stands": True, "drives": False, "walks": False,
+    }  # fmt: skip
+    (row,) = np.flatnonzero(scene.parked)
+    assert scene.tracks.speed_mps[row].tolist() == [0.0] * 20
+    assert np.ptp(scene.tracks.xy_m[row], axis=0).tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -122,6 +142,8 @@ def test_genuine_logs(adv_data: Path) -> None:
     (scene,) = Argoverse2Reader(adv_data / "argoverse2").scenes()
     assert scene.tracks.steps == 110
     assert scene.tracks.valid[scene.ego].all()
+    wandering = [scene.tracks.ids.index(name) for name in ("139310", "139510", "139591", "139613", "139647")]
+    assert scene.parked[wandering].all()
     scenes = {scene.name: scene for scene in CommonRoadReader(adv_data / "commonroad").scenes()}
     assert len(scenes) == 4
     assert scenes["USA_Lanker-1_3_T-1"].tracks.agents == 36

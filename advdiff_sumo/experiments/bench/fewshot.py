@@ -22,6 +22,7 @@ from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Esti
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
+from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
@@ -185,13 +186,17 @@ class Pooled:
         return np.asarray(total / (warm_ups.sum(1) * scenes.sum(1)))
 
     def estimate(self) -> Estimate:
-        """Return the rate; with Wilson's interval where there is one warm-up alone."""
+        """Return the rate; with Wilson's interval where there is one warm-up, or all trials end alike."""
         if len(self.hits) == 1 and self.targets == 1:
             return estimate(Ratio(self.scenes, self.hits[0], np.ones(len(self.scenes)), rate=True))
         if not self.hits.size:
             return Estimate()
-        low, high = np.percentile(self.at(*_draws(self.hits.shape)), (2.5, 97.5))
-        return Estimate(float(self.hits.mean()), float(low), float(high), self.targets * self.hits.size)
+        value, scenes = float(self.hits.mean()), len(self.scenes)
+        if value in (0.0, 1.0):  # drawing them again would show no spread
+            low, high = wilson(round(value) * scenes, scenes)
+        else:
+            low, high = np.percentile(self.at(*_draws(self.hits.shape)), (2.5, 97.5))
+        return Estimate(value, float(low), float(high), self.targets * self.hits.size)
 
     def less(self, before: Pooled) -> Difference:
         """Return the rate less that of *before*, scenes drawn together."""

@@ -13,6 +13,7 @@ from advdiff_sumo.experiments.bench.fewshot import GUIDES, fewshot_table
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList
 from advdiff_sumo.experiments.bench.traces import UNTRACED
 from advdiff_sumo.experiments.bench.transfer import transfer_table
+from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.traffic.licence import LicenceName
 
 SCENES = SceneList(
@@ -42,6 +43,9 @@ def test_names_of_targets_may_hold_slashes_and_braces(name: str, tmp_path: Path)
     for line in table.lines:
         rates = [line.cells[f"steps_{mark}"].found.value for mark in (0, 1, 2)]
         assert rates == [0.0, 0.25, 1.0]
+        none, _, all_of_them = (line.cells[f"steps_{mark}"].found for mark in (0, 1, 2))
+        assert (none.low, none.high) == pytest.approx(wilson(0, 2))
+        assert (all_of_them.low, all_of_them.high) == pytest.approx(wilson(2, 2))  # four trials of two scenes
 
 
 @pytest.mark.parametrize(

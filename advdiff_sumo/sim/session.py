@@ -93,7 +93,10 @@ class Session:
 
     def __enter__(self) -> Self:
         if Session._open:
-            raise SimulationError("a second SUMO simulation in one process would end the first one")
+            raise SimulationError(
+                "a second SUMO simulation in one process would end the first one; close that, or give each a process "
+                "(environments: gymnasium.vector.AsyncVectorEnv)"
+            )
         self.api = load_api(self.options.gui)
         program = "sumo-gui" if self.options.gui else "sumo"
         with _quiet() as output:

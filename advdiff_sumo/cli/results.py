@@ -50,6 +50,8 @@ def results(
 
     if sql is not None and (fail_if is not None or junit is not None):
         raise ConfigError("--fail-if and --junit go without --sql; give two commands")
+    if sql is None and form is not Form.table:
+        raise ConfigError(f"--format {form.value} is of the answer to --sql; add that")
     condition = condition_of(fail_if)
     rows = rows_of_folder(folder)
     console = terminal()

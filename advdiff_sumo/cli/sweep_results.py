@@ -155,7 +155,7 @@ def _print(console: Console, results: FolderRows, overall: Figures) -> None:
     if clusters:
         _print_findings(console, clusters)
     if episodes:
-        _print_worst(console, worst_first(episodes)[:_WORST])
+        print_worst(console, worst_first(episodes)[:_WORST])
         _print_coverage(console, results.plan, episodes)
     if not results.of_run or any(row["attacker_manoeuvre"] is not None for row in episodes):
         _print_archive(console, episodes)  # what each vehicle did is not kept by a finished run
@@ -247,7 +247,8 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
         console.print(f"… and {len(clusters) - _FINDINGS} more")
 
 
-def _print_worst(console: Console, rows: Sequence[Row]) -> None:
+def print_worst(console: Console, rows: Sequence[Row]) -> None:
+    """Print *rows* of episodes, each with the options that its target and background have in the table of rates."""
     table = _table(
         "the worst episode" if len(rows) == 1 else f"the {len(rows)} worst episodes",
         "key",
@@ -267,7 +268,8 @@ def _print_worst(console: Console, rows: Sequence[Row]) -> None:
         elif row.get("critical"):
             what = f"critical near miss, {resolved(row['resolved_by'])}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
-        table.add_row(row["key"], row["target"], row["background"], what, *values)
+        who = (row[side] + _short(row[f"{side}_options"]) for side in ("target", "background"))
+        table.add_row(row["key"], *who, what, *values)
     table.print(console)
 
 

@@ -117,6 +117,12 @@ def test_a_query_leaves_no_gate_open(
     assert not (workplace / "junit.xml").exists()
 
 
+def test_a_format_is_of_an_answer(downtown_run: Path, here: Callable[..., Outcome]) -> None:
+    done = here("results", downtown_run, "--format", "csv")
+    assert sentence(done) == "error: --format csv is of the answer to --sql; add that"
+    assert not done.out
+
+
 def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callable[..., Outcome]) -> None:
     done = here("compare", downtown_run, downtown_run)
     assert done.code == 0, done.err

@@ -39,7 +39,11 @@ def area_of_lanes(lanes: Iterable[Lane], junctions: Mapping[str, Junction]) -> B
         if len(junction.shape_xy_m) >= 3
         and any(lane.rsplit("_", 1)[0] in reached for lane in junction.incoming_lanes)
     ]
-    return shapely.union_all(parts).buffer(_ROUND_M, join_style="mitre").buffer(-_ROUND_M, join_style="mitre")
+    area = shapely.union_all(parts).buffer(_ROUND_M, join_style="mitre").buffer(-_ROUND_M, join_style="mitre")
+    if shapely.is_valid(area):
+        return area
+    # the end of a road whose junction has no extent: a line, of which the buffers leave a ring that crosses itself
+    return shapely.make_valid(area, method="structure", keep_collapsed=False)
 
 
 class DrivableArea:

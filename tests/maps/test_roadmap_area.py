@@ -8,6 +8,8 @@ import shapely
 
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.drivable import DrivableArea, area_of_lanes
+from advdiff_sumo.maps.lanes import Junction, Lane
 
 REAL = (
     "bologna-acosta/acosta_buslanes.net.xml",
@@ -75,3 +77,16 @@ def test_road_edge_has_the_road_on_its_left(road):
         ahead = along / np.hypot(along[:, :1], along[:, 1:])
         left = 0.5 * (ring[1:] + ring[:-1]) + 0.3 * np.stack((-ahead[:, 1], ahead[:, 0]), axis=-1)
         assert road.covers(left).all()
+
+
+def test_a_dead_end_without_extent_leaves_the_area_valid():
+    """As netgenerate writes it: the outline of the end goes across the road and back (GEOS makes a ring cross)."""
+    path, end = np.array([[306.1, 811.03], [182.98, 957.86]]), np.array([182.98, 957.86])
+    length = float(np.linalg.norm(path[1] - path[0]))
+    motor = frozenset({"passenger"})
+    lane = Lane("e_0", "e", 0, path, 3.2, 13.9, length, length, False, motor, None, None, ())
+    across = np.array([[184.21, 958.89], [180.23, 955.55], [184.21, 958.89]])
+    junctions = {"96": Junction("96", "dead_end", end, across, {}, {}, ("e_0",))}
+    area = DrivableArea(area_of_lanes([lane], junctions)).geometry
+    assert shapely.is_valid(area)
+    assert area.area == pytest.approx(3.2 * length, abs=0.2)

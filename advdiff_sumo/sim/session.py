@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import locale
 import logging
 import os
 import sys
@@ -131,7 +132,13 @@ class Session:
 
 
 def load_api(gui: bool = False) -> Any:
-    """Import libsumo (or traci) without the lines that it prints about other packages' versions."""
+    """Import libsumo (or traci) without the lines that it prints about other packages' versions.
+
+    It reads names of files by the locale, which in "C" knows ASCII alone, while Python takes UTF-8 there (PEP 540).
+    """
+    if locale.setlocale(locale.LC_CTYPE) in ("C", "POSIX"):
+        with contextlib.suppress(locale.Error):  # systems without it know UTF-8 by another name
+            locale.setlocale(locale.LC_CTYPE, "C.UTF-8")
     with contextlib.redirect_stdout(io.StringIO()):
         return importlib.import_module("traci" if gui else "libsumo")
 

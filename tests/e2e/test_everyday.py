@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,6 +49,17 @@ def test_a_run_without_a_report(here: Callable[..., Outcome], workplace: Path) -
 def test_quiet_prints_nothing(here: Callable[..., Outcome], workplace: Path) -> None:
     assert here(*RUN, "--quiet", "--out", "run") == Outcome(0, "", "")
     assert "our_planners:Nothing" in sentence(here(*RUN, "-q", "--target", "our_planners:Nothing"))
+
+
+def test_names_beyond_ascii_are_read_in_the_plain_locale_too(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(workplace / "grid.net.xml", workplace / "größe.net.xml")
+    monkeypatch.setenv("LC_ALL", "C")
+    done = advdiff(
+        "run", "--net", "größe.net.xml", "--episodes", 1, *TINY, "-q", "--out", "run", cwd=workplace
+    )
+    assert done == Outcome(0, "", "")
 
 
 def test_what_a_planner_prints_is_told_unless_one_wants_it_quiet(

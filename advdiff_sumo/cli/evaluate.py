@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE
-from rich.progress import Progress
 from rich.table import Table
 
 from advdiff_sumo.cli import train_flags as flags
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 
 _HEADS = {
     "ade_m": "ADE",
@@ -79,8 +78,8 @@ def judge_and_show(
     """Judge *bundle* on *windows*, print the table, and write *out*."""
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
-    with Progress(console=terminal(stderr=True), transient=True) as bar:
-        task = bar.add_task("windows judged")
+    with progress_bar(terminal(stderr=True), transient=True) as bar:
+        task = bar.add_task("windows judged", total=None)
         figures = evaluate_bundle(
             bundle,
             windows,
@@ -88,9 +87,9 @@ def judge_and_show(
             device,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
+    terminal(width=max(terminal().width, _WIDTH)).print(table(figures))
     if out is not None:
         write_figures(out, figures, judging, windows)
-    terminal(width=max(terminal().width, _WIDTH)).print(table(figures))
 
 
 def table(figures: dict[str, Figures]) -> Table:

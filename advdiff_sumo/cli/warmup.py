@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -61,6 +62,8 @@ def warmup(
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")
     if not out.parent.is_dir():
         raise FileError(out.parent, "no such folder", "make it, or choose another --out")
+    if not os.access(out.parent, os.W_OK):  # before the warm-up, which takes minutes
+        raise FileError(out.parent, "nothing can be written into it", "choose another --out")
     policy = {
         "licence": licence,
         "strength": strength,

@@ -9,6 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
+from advdiff_sumo.core.errors import FileError
+
 A = TypeVar("A")
 T = TypeVar("T")
 
@@ -35,6 +37,18 @@ def whole_file(path: Path, ending: str = "") -> Iterator[Path]:
         with contextlib.suppress(OSError):
             aside.unlink()
         raise
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder *path*, which an --out names, and those above it, unless they are there.
+
+    Raises:
+        FileError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(path, f"cannot be made ({error.strerror})", "choose another --out") from None
 
 
 def aside_of(path: Path, ending: str = "") -> Path:

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
@@ -135,9 +136,16 @@ def evaluate_bundle(
 def write_figures(
     path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet
 ) -> None:
-    """Write the figures as JSON, with what they were made of."""
+    """Write the figures as JSON, with what they were made of.
+
+    Raises:
+        FileError: *path* cannot be written.
+    """
     text = {"judging": vars(judging), "windows": len(windows), "data": windows.digest, "figures": figures}
-    path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    try:
+        path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
 
 
 def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None:

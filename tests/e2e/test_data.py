@@ -37,6 +37,10 @@ def test_simulate_then_stats(tmp_path: Path) -> None:
     [
         (("simulate", "--out", "w", "--net", "no.net.xml"), "no.net.xml: no such net"),
         (("simulate", "--out", "file"), "--out file is a file"),
+        (
+            ("simulate", "--out", "file/w"),
+            "file/w/nets: cannot be made (Not a directory); choose another --out",
+        ),
         (("simulate", "--out", "w", "--windows", "0"), "'--windows'"),
         (("simulate", "--out", "w", "--random-share", "2"), "'--random-share'"),
         (("simulate", "--out", "w", "--driven-by", "no.safetensors"), "no.safetensors: no such file"),

@@ -68,6 +68,11 @@ def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tm
     assert done.code == 0, done.err
     rows = json.loads((tmp_path / "figures.json").read_text())["figures"]
     assert f"{rows['posterior']['ade_m']:.2f}" in done.out
+    unwritten = advdiff("evaluate", "--weights", traffic, *words[:-1], "none/figures.json", cwd=tmp_path)
+    refused(
+        unwritten, "none/figures.json: cannot be written (No such file or directory); choose another --out"
+    )
+    assert unwritten.out == done.out
 
 
 @pytest.mark.slow

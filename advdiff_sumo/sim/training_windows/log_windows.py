@@ -15,6 +15,7 @@ from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.whole_file import make_folder
 from advdiff_sumo.data import LogReader, LogScene, NuScenesReader
 from advdiff_sumo.data.splits import in_split, prediction_windows
 from advdiff_sumo.data.window_arrays import WindowArrays, WindowFileBuilder, crop, crops, window_arrays
@@ -236,10 +237,10 @@ def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path,
                 f"--out {out}: the drives are on {len(placed)} nets ({', '.join(sorted(placed))}) and a file holds "
                 "one; name a folder"
             )
-        out.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(out.parent)
         yield out, next(iter(placed.values()))
         return
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     yield from ((out / f"{name}{SUFFIX}", placed[name]) for name in sorted(placed))
 
 

@@ -16,6 +16,7 @@ from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import AdvdiffError, FileError, NetError, SimulationError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.whole_file import make_folder
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.window_arrays import WindowFileBuilder
 from advdiff_sumo.data.window_files import DRIVEN, SUFFIX, read_windows, write_windows
@@ -141,11 +142,11 @@ def simulate(
         All shards in their order.
 
     Raises:
-        InputError: *out* holds files made with other options.
+        InputError: *out* cannot be made, or holds files made with other options.
         SimulationError: shards failed; the others are complete.
     """
     done = {shard.name: ShardResult(shard, count) for shard in shards if (count := _complete(shard, out))}
-    (out / _NETS).mkdir(parents=True, exist_ok=True)
+    make_folder(out / _NETS)
     for result in done.values():
         tell(result)
     for result in _made([s for s in shards if s.name not in done], out, workers):

@@ -88,7 +88,7 @@ Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
         help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out, queue, "
-        "oncoming, double; "
+        "oncoming, double, slow-merge, pull-out; "
         "with --licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
         show_default="any",
     ),

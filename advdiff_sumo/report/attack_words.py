@@ -12,6 +12,8 @@ _DOES: Mapping[str, str] = {
     "queue": "be the end of a queue before it",
     "oncoming": "cross its way from ahead",
     "double": "stop hard before it while others are nearer",
+    "slow-merge": "merge slowly before it",
+    "pull-out": "pull out before it",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
     "junction": "cross its way",

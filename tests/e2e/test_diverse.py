@@ -81,4 +81,4 @@ def test_a_dry_run_counts_what_is_asked_for(workplace: Path, here: Callable[...,
     sweep_file(workplace, 3)
     dry = here("sweep", "wide.toml", "--diverse", "--dry-run")
     assert dry.code == 0, dry.err
-    assert "3 episodes in 10 runs; 3 to do" in dry.out
+    assert "3 episodes in 12 runs; 3 to do" in dry.out

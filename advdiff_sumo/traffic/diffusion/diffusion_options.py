@@ -32,6 +32,8 @@ Attack: TypeAlias = Literal[
     "queue",
     "oncoming",
     "double",
+    "slow-merge",
+    "pull-out",
 ]
 LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "any": ("any", "any"),
@@ -46,6 +48,8 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "queue": ("queue", "any"),
     "oncoming": ("oncoming", "any"),
     "double": ("double", "any"),
+    "slow-merge": ("slow-merge", "any"),
+    "pull-out": ("pull-out", "any"),
 }
 """Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
 RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")

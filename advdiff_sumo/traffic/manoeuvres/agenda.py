@@ -9,7 +9,9 @@ import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, goes_first
+from advdiff_sumo.traffic.manoeuvres.repertoire import SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_places import can_come_beside
 from advdiff_sumo.traffic.manoeuvres.staging import AHEAD_M, begins, can_hide
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, can_queue
 
@@ -18,7 +20,8 @@ TURN_S = 7.0
 TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
 """Kinds that have turns; a cut-out at the first instant alone."""
 _CROSSING_FIRST, _CUT_OUT_FIRST, _QUEUE_FIRST = 0.5, 0.4, 0.2
-_AT_FIRST = ("cut-out", QUEUE)
+_SLOW_FIRST = 0.2
+_AT_FIRST = ("cut-out", QUEUE, *SLOW_ENTRIES)
 """Kinds that have a turn at the beginning alone."""
 _LATER = ("cut-in", "hard-stop")
 _FORESEES_S = 8.0
@@ -39,18 +42,19 @@ class Agenda:
     crosses_any_time: bool = True
 
     @staticmethod
-    def drawn(rng: np.random.Generator) -> Agenda:
+    def drawn(rng: np.random.Generator, slow: Sequence[str] = ()) -> Agenda:
         """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
 
         A cut-in comes before a hard stop: a leader that came in for one leaves no room for the other. In two of five a
         cut-out precedes all, which is possible at the first instant alone; in one of five the end of a queue does where
-        no cut-out is possible.
+        no cut-out is possible. One of five begins with each of *slow*, kinds that enter slowly, where that is possible.
         """
         crossing_first = rng.random() < _CROSSING_FIRST
         order = ("crossing", "cut-in", "hard-stop") if crossing_first else ("cut-in", "crossing", "hard-stop")
         drawn = rng.spawn(1)[0].random()  # without a draw, which would change all that is drawn after
         first = ("cut-out", QUEUE) if drawn < _QUEUE_FIRST else ("cut-out",) if drawn < _CUT_OUT_FIRST else ()
-        return Agenda((*first, *order))
+        slow_first = tuple(kind for kind in slow if rng.spawn(1)[0].random() < _SLOW_FIRST)
+        return Agenda((*slow_first, *first, *order))
 
     def without(self, kind: str, time_s: float) -> Agenda:
         """Return the agenda without *kind* if its turn is first, so that the next one's begins at *time_s*."""
@@ -90,6 +94,8 @@ def is_possible(view: SituationView, kind: str) -> bool:
     target = view.target
     if target is None or kind == "hard-stop":
         return True
+    if kind in SLOW_ENTRIES:
+        return not begins(view) or can_come_beside(view, kind)
     if kind in _AT_FIRST:
         return not begins(view) or (can_hide(view) if kind == "cut-out" else can_queue(view))
     if kind == "cut-in":

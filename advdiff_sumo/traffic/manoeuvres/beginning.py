@@ -17,15 +17,16 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_due, perceived_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, may_wait
 
 _PATIENCE = ((PATIENT_S, 0.4),)
 """Until when (s) an episode waits for a better moment than one of so little merit."""
 _LEADER_PATIENCE = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
 """The same for a leader that lets the target close up, and which no red light stops soon."""
 _NOW_S = 0.5
-_PROPOSED = {**KINDS, DOUBLE: stops_in_company}
+_PROPOSED = {**PROPOSALS, DOUBLE: stops_in_company}
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -36,18 +37,20 @@ def begin(
     """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
-    busy |= {r for r in view.movable if names[r] in kept.standing.names}
+    busy |= {r for r in view.movable if kept.standing.holds(names[r])}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
     wanted = kept.wanted(view)
     possible = [m for row in free for kind in wanted for m in _PROPOSED[kind](view, row)]
     possible = list(from_ahead(view, possible, kept.stage.only_oncoming))
+    possible = [m for m in possible if not (m.sets_up and names[m.row] in kept.standing.names)]
     proposals = [m for m in graded(view, possible, kept.intensity) if is_due(view, m, kept.since_s)]
     out: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
     patience = _LEADER_PATIENCE if kept.agenda.order and not waits_at_red(view) else _PATIENCE
     least = {kind: _least(patience if kind in KEEP_OFF else _PATIENCE, now) for kind in kept.weights}
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least[one.manoeuvre.kind]]
-    for chosen in worthy[:_TRIED]:
+    ready = [one for one in worthy if not may_wait(view, one.manoeuvre, one.needed_mps2, licence)]
+    for chosen in ready[:_TRIED]:
         others = (*going, *(one.manoeuvre for one in out))
         fits = all(_go_together(chosen.manoeuvre, other) for other in others)
         if len(out) < room and fits and _spares_follower(view, chosen) and _passes(view, chosen, licence):

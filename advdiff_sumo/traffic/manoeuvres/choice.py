@@ -21,7 +21,12 @@ from advdiff_sumo.traffic.manoeuvres.graded import closeness
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import (
+    DOUBLE,
+    MOST_DEMANDED_MPS2,
+    SLOW_ENTRIES,
+    crossing_links,
+)
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 HARD_WORTH: Mapping[float, float] = {3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
@@ -30,6 +35,8 @@ SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0
 """Worth where what counts is whether the target sees the other and gives way at all."""
 CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
+SLOW_ENTRY_WORTH: Mapping[float, float] = {1.0: 0.3, 2.0: 0.6, 3.0: 0.8, 4.0: 1.0, 5.0: 0.8}
+"""Worth where somebody enters slowly, whom the target sees before; none beyond ``MOST_DEMANDED_MPS2``."""
 _LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
 _GENTLE_SHARE = 0.5
 """Who stops gently asks less than who stops hard a little later."""
@@ -172,6 +179,9 @@ def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
         return SETTING_UP if needed_mps2 <= _ASKS_MPS2.get(manoeuvre.kind, 1.0) else 0.0
     if manoeuvre.kind == "cut-in":
         return CUT_IN_WORTH.get(needed_mps2, 0.0)
+    if manoeuvre.kind in SLOW_ENTRIES:
+        most = MOST_DEMANDED_MPS2[manoeuvre.kind]
+        return SLOW_ENTRY_WORTH.get(needed_mps2, 0.0) if needed_mps2 <= most else 0.0
     if manoeuvre.kind == "crossing" and begun:
         return float(needed_mps2 > 0.0)
     least = _LEAST_SEEN_MPS2.get(manoeuvre.kind)

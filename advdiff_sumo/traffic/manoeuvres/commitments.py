@@ -14,12 +14,14 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic
 
+OF_ANY = tuple(KINDS)
+"""Kinds that an episode of "any" is made of; with ``SLOW_ENTRIES`` here those get turns, too."""
 SUPPORTS = (FOLLOWS, WAITS)
 """Kinds that attack nobody."""
 KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
@@ -155,15 +157,16 @@ class Commitments:
             preference: of encounters, which turns and newcomers follow too where *attack* is "any".
         """
         asked = "crossing" if attack == ONCOMING else attack
-        kinds = list(KINDS) if asked == "any" else [asked]
+        slow = () if preference is not None else tuple(kind for kind in SLOW_ENTRIES if kind in OF_ANY)
+        kinds = [kind for kind in OF_ANY if kind in (*KINDS, *slow)] if asked == "any" else [asked]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = _newcomers(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
         stage = StagingMemory(
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
-        agenda = Agenda.drawn(rng) if attack == "any" else Agenda()
-        if preference is not None and attack in (QUEUE, DOUBLE):
+        agenda = Agenda.drawn(rng, slow) if attack == "any" else Agenda()
+        if preference is not None and attack in (QUEUE, DOUBLE, *SLOW_ENTRIES):
             preference = None  # nothing is predicted of it
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(asked,))

@@ -26,9 +26,13 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     DOUBLE,
     ENDS_STANDING,
     KINDS,
+    PULL_OUT,
+    SLOW_ENTRIES,
+    SLOW_MERGE,
     crossing_on,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_body
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 _LONGEST_S: Mapping[str, float] = {
@@ -36,9 +40,11 @@ _LONGEST_S: Mapping[str, float] = {
     "hard-stop": 9.0,
     DOUBLE: 9.0,
     "stop-and-go": 6.0,
+    SLOW_MERGE: 10.0,
+    PULL_OUT: 12.0,
 }
 _LONGEST_DEFAULT_S = 7.0
-_OVER_LINE_M, _IN_WAY_M = 0.2, 1.2
+_OVER_LINE_M, _IN_WAY_M, _OFF_MIDDLE_M = 0.2, 1.2, 0.2
 
 
 def carry_on(
@@ -97,7 +103,8 @@ def _continued(
         rest = replace(rest, highest_mps=min(rest.highest_mps, limit))
     goal = _goal(view, row, under_way)
     delay_s = max(under_way.delay_s - passed, 0.0)
-    manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s)
+    body = slow_body(view, row) if under_way.kind in SLOW_ENTRIES else None
+    manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s, body=body)
     if under_way.kind == "cut-in" and licence is not None:
         return _cutting_in(view, manoeuvre, intensity)
     return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
@@ -156,7 +163,9 @@ def _target_stands(view: SituationView) -> bool:
 
 def _goal(view: SituationView, row: int, under_way: Commitment) -> Way | None:
     """Return the way that *row* is still changing to; None once it is on it."""
-    if under_way.kind == "cut-out":
+    if under_way.kind in SLOW_ENTRIES and view.ways[row].present_lane.id == under_way.goal_lane:
+        return view.ways[row] if abs(view.ways[row].lane.offset_m) > _OFF_MIDDLE_M else None
+    if under_way.kind in ("cut-out", *SLOW_ENTRIES):
         sides = (view.neighbour(row, side) for side in ("left", "right"))
         return next((way for way in sides if way and way.present_lane.id == under_way.goal_lane), None)
     if under_way.kind != "cut-in":
@@ -171,9 +180,15 @@ def still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | N
     if licence is not None:
         licence = replace(licence, gap_share=min(licence.gap_share, 1.0), spare_m=0.0)
     goal = manoeuvre.goal
-    if goal is not None and _over_line_m(view, manoeuvre.row, goal) > _OVER_LINE_M:
+    if goal is not None and _is_over_line(view, manoeuvre, goal):
         manoeuvre = replace(manoeuvre, goal=None)
     return bool(lawful(view, [manoeuvre], futures, licence, begun=True)[0])
+
+
+def _is_over_line(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> bool:
+    if manoeuvre.body is not None:
+        return manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1]) == 0.0
+    return _over_line_m(view, manoeuvre.row, goal) > _OVER_LINE_M
 
 
 def _over_line_m(view: SituationView, row: int, goal: Way) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.answers import (
 )
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
-from advdiff_sumo.traffic.manoeuvres.repertoire import ENDS_STANDING
+from advdiff_sumo.traffic.manoeuvres.repertoire import ENDS_STANDING, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 
@@ -36,14 +37,23 @@ def demanded_braking(
     asks_s = np.array([m.asks_s(now[m.row]) for m in manoeuvres])
     needed = needed_braking(target, *_obstacles(view, manoeuvres, futures), asks_s)
     for k, manoeuvre in enumerate(manoeuvres):
+        if manoeuvre.kind in SLOW_ENTRIES:
+            gains = _gaining(view, target, float(asks_s[k]) + REACTION_S)
+            room_m = _room_m(view, manoeuvre) + futures.driven_m[k]
+            matched = _to_match(gains, room_m, float(futures.speed_mps[k, -1]), float(asks_s[k]))
+            needed[k] = max(needed[k], matched)
         if manoeuvre.kind in ENDS_STANDING and _stops(manoeuvre):
             stops_m = float(
                 futures.driven_m[k, -1] - 0.5 * futures.speed_mps[k, -1] ** 2 / manoeuvre.profile.then_mps2
             )
-            between_m = 0.5 * float(view.size(manoeuvre.row)[0] + target.size_m[0])
-            room_m = view.on_target_way[manoeuvre.row][0] - between_m + stops_m - ROOM_M
+            room_m = _room_m(view, manoeuvre) + stops_m
             needed[k] = max(needed[k], _to_stop_within(target, room_m, float(asks_s[k])))
     return needed
+
+
+def _room_m(view: SituationView, manoeuvre: Manoeuvre) -> float:
+    """Return the bumper gap along the target's way to who drives *manoeuvre*, less the room that is left."""
+    return view.gap_m(view.on_target_way[manoeuvre.row][0], manoeuvre.row, view.scene.target) - ROOM_M
 
 
 def _obstacles(
@@ -73,3 +83,26 @@ def _to_stop_within(target: TargetWay, room_m: float, asks_s: float) -> float:
     left_m = room_m - float(np.interp(braked_s, FINE_TIMES_S, target.goes_on_m))
     least = 0.5 * speed**2 / left_m if left_m > 0.0 else np.inf
     return next((braking for braking in BRAKING_MPS2 if braking >= least), UNANSWERABLE_MPS2)
+
+
+def _gaining(view: SituationView, target: TargetWay, until_s: float) -> TargetWay:
+    """Return *target* as fast as it will be *until_s* from now if it goes on gaining speed as it does, to its limit."""
+    gains = view.gains_mps2(view.scene.target)
+    limit = max(target.way.lane.speed_mps, target.speed_mps)
+    return replace(target, speed_mps=min(target.speed_mps + gains * until_s, limit)) if gains else target
+
+
+def _to_match(target: TargetWay, rear_m: FloatArray, then_mps: float, asks_s: float) -> float:
+    """Return the mildest braking with which the target stays behind who is ahead and slower, also after 6 s.
+
+    Args:
+        target: the tested vehicle.
+        rear_m: (T,) how far it could drive by ``CHECK_TIMES_S`` without touching the other.
+        then_mps: speed of the other by the last of them, which it keeps.
+        asks_s: when the target can perceive it.
+    """
+    driven, speed = target.brakes(BRAKING_MPS2, asks_s + REACTION_S)
+    left_m = rear_m - driven
+    closing = np.maximum(speed[:, -1] - then_mps, 0.0)
+    enough = (left_m > 0.0).all(axis=1) & (closing**2 <= 2.0 * np.array(BRAKING_MPS2) * left_m[:, -1])
+    return next((BRAKING_MPS2[k] for k in np.flatnonzero(enough).tolist()), UNANSWERABLE_MPS2)

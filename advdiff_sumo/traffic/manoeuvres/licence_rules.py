@@ -129,7 +129,8 @@ def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre, licence: Licence) ->
     row, goal = manoeuvre.row, manoeuvre.goal
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1])
     beside = [other for other in view.ways if other != row and _on(goal, view, other)]
-    return all(entry_spare_m(view, row, other, enters_s, licence) >= 0.0 for other in beside)
+    drives = manoeuvre.until(enters_s, view.speed(row))
+    return all(entry_spare_m(view, row, other, enters_s, licence, drives) >= 0.0 for other in beside)
 
 
 def _on(goal: Way, view: SituationView, other: int) -> bool:
@@ -137,11 +138,28 @@ def _on(goal: Way, view: SituationView, other: int) -> bool:
     return abs(float(left)) < 0.5 * (goal.present_lane.width_m + float(view.size(other)[1])) - 0.3
 
 
-def entry_spare_m(view: SituationView, row: int, other: int, enters_s: float, licence: Licence) -> float:
-    """Return the gap of *row* to *other* at its entry, less what *licence* asks for; *other* goes on gaining speed."""
-    speed, gains = view.speed(row), view.gains_mps2(other)
+def entry_spare_m(
+    view: SituationView,
+    row: int,
+    other: int,
+    enters_s: float,
+    licence: Licence,
+    drives_mps: tuple[float, float] | None = None,
+) -> float:
+    """Return the gap of *row* to *other* at its entry, less what *licence* asks for; *other* goes on gaining speed.
+
+    Args:
+        view: the scene.
+        row: of who enters.
+        other: row of who is on that lane.
+        enters_s: when.
+        licence: what it may do.
+        drives_mps: mean speed of *row* until then, and its speed by then; None: it keeps its speed.
+    """
+    mean, speed = drives_mps or (view.speed(row), view.speed(row))
+    gains = view.gains_mps2(other)
     theirs = view.speed(other) + gains * enters_s
-    driven = enters_s * (speed - 0.5 * (view.speed(other) + theirs))
+    driven = enters_s * (mean - 0.5 * (view.speed(other) + theirs))
     ahead = view.place_on(view.ways[other], row)[0] + driven
     gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
     follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)

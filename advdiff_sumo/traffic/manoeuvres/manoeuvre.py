@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.kinematic_states import KinematicStates
+from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import (
     CHECK_DT_S,
@@ -27,9 +28,30 @@ _ENTERS_SHARE = 0.67
 (1.8 m wide, lanes of 3.5 m), and perceived as intruding."""
 _FINE_S: FloatArray = 0.05 * np.arange(160.0)
 _NARROW_M = 0.3
+_ASIDE_FROM_MPS = 4.4
+"""Who drives more slowly gets aside more slowly, by a metre in four that it drives; no bus does so faster."""
+_ROLLS_MPS = 0.5
+"""Who is slower does not drift."""
 _EVERY = round(PLAN_DT_S / CHECK_DT_S)
 _OF_A_PLAN = slice(_EVERY - 1, None, _EVERY)
 """The instants of a plan among those at which boxes are compared."""
+
+
+@dataclass(frozen=True)
+class SlowBody:
+    """Who changes lanes slowly: its front comes first, and it gets aside no faster than it drives on.
+
+    Attributes:
+        speed_mps: now.
+        length_m: of its box.
+        width_m: of its box.
+        corridor_m: half the width of the target, whose corridor it comes into.
+    """
+
+    speed_mps: float
+    length_m: float
+    width_m: float
+    corridor_m: float
 
 
 @dataclass(frozen=True)
@@ -45,6 +67,7 @@ class Manoeuvre:
         sets_up: whether it only brings the vehicle into position.
         delay_s: when the change of lanes begins.
         reveals: row of who stands ahead on its way and is seen once it has left; None: nobody.
+        body: of who changes lanes slowly; None: it is fast enough to take it for a point.
     """
 
     kind: str
@@ -55,6 +78,7 @@ class Manoeuvre:
     sets_up: bool = False
     delay_s: float = 0.0
     reveals: int | None = None
+    body: SlowBody | None = None
 
     def enters_s(self, xy_m: FloatArray, within_m: float | None = None) -> float:
         """Return when the vehicle enters the lane that it changes to; 0 if it stays.
@@ -66,15 +90,56 @@ class Manoeuvre:
         if self.goal is None:
             return 0.0
         apart, across = self.goal.line.project(np.stack((self.way.line.at(self.way.lane.s_m)[0], xy_m)))[1]
+        if self.body is not None:
+            edge_m = 0.5 * self.goal.present_lane.width_m - INTRUSION_M
+            return self._reaches_s(self.body, float(across), edge_m, nose_m=self.body.length_m)
         within_m = _ENTERS_SHARE * abs(float(apart)) if within_m is None else within_m
         over = np.abs(self.offsets(float(across), _FINE_S)) <= within_m
         return self.delay_s + float(_FINE_S[np.argmax(over)])
 
+    def _reaches_s(self, body: SlowBody, across_m: float, within_m: float, nose_m: float = 0.0) -> float:
+        """Return when the first corner of *body* is *within_m* of the middle of the lane that it has *across_m* to.
+
+        The corner is that of a box of length *nose_m*, which is turned into the lane.
+        """
+        driven, _ = drive_profiles(np.array([body.speed_mps]), [self.profile])
+        fine_m = np.interp(_FINE_S, np.append(0.0, CHECK_TIMES_S), np.append(0.0, driven[0]))
+        beside = np.abs(self.offsets(across_m, self.changing_s(fine_m, _FINE_S)))
+        slope = -np.gradient(beside) / np.maximum(np.gradient(fine_m), STANDS_M)
+        turned = np.arctan(np.clip(slope, 0.0, 1.0))
+        reach = beside - 0.5 * (nose_m * np.sin(turned) + body.width_m * np.cos(turned))
+        over = reach <= within_m
+        return float(_FINE_S[np.argmax(over)]) if over.any() else float(_FINE_S[-1])
+
+    def until(self, time_s: float, speed_mps: float) -> tuple[float, float]:
+        """Return the mean speed up to *time_s* and the speed by then of who drives *speed_mps* now."""
+        if self.body is None or time_s <= 0.0:
+            return speed_mps, speed_mps
+        driven, speed = drive_profiles(np.array([speed_mps]), [self.profile])
+        times = np.append(0.0, CHECK_TIMES_S)
+        mean = float(np.interp(time_s, times, np.append(0.0, driven[0]))) / time_s
+        return mean, float(np.interp(time_s, times, np.append(speed_mps, speed[0])))
+
+    def changing_s(self, driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return for how long (T,) a change has gone on of who has driven *driven_m* (T,) by *time_s* (T,).
+
+        Who is slow takes longer: its time goes by as slowly as it drives on.
+        """
+        if self.body is None:
+            return np.maximum(moving_s(driven_m, time_s) - self.delay_s, 0.0)
+        step = np.diff(time_s, prepend=0.0)
+        return np.cumsum(np.minimum(np.diff(driven_m, prepend=0.0) / _ASIDE_FROM_MPS, step))
+
     def asks_s(self, xy_m: FloatArray) -> float:
         """Return when the target can perceive that the vehicle, at *xy_m* (2,) now, asks something of it; 0: now.
 
-        Who changes into its lane asks nothing before it is there and, where it means to slow, slows.
+        Who changes into its lane asks nothing before it is there and, where it means to slow, slows; who does so slowly
+        asks nothing before its box, taken as along the lane, is in the target's corridor: there the reference driver
+        perceives it.
         """
+        if self.body is not None and self.goal is not None:
+            across = self.goal.line.project(xy_m)[1]
+            return self._reaches_s(self.body, float(across), self.body.corridor_m)
         slows_later = self.profile.then_mps2 < 0.0 <= self.profile.first_mps2
         slows_s = self.profile.switch_s if self.goal is not None and slows_later else 0.0
         return max(self.enters_s(xy_m), slows_s)
@@ -83,6 +148,8 @@ class Manoeuvre:
         """Return offsets (T,) from the goal's line, *since_s* (T,) after a change began that has *across_m* to go."""
         lasts_s = max(abs(across_m), _NARROW_M) / LATERAL_MPS
         drift_mps = self.way.drift_mps if self.delay_s == 0.0 else 0.0
+        if self.body is not None:
+            drift_mps *= _ASIDE_FROM_MPS / float(np.clip(self.body.speed_mps, _ROLLS_MPS, _ASIDE_FROM_MPS))
         return settling(across_m, drift_mps, since_s, lasts_s)
 
 
@@ -135,7 +202,7 @@ def _changing(manoeuvre: Manoeuvre, goal: Way, driven_m: FloatArray) -> tuple[Fl
     begin, across = goal.line.project(here)
     there, along = goal.line.at(float(begin) + driven_m, extrapolate=True)
     beside = way.line.at(way.lane.s_m + driven_m, way.lane.offset_m, extrapolate=True)[0]
-    since_s = np.maximum(moving_s(driven_m, CHECK_TIMES_S) - manoeuvre.delay_s, 0.0)
+    since_s = manoeuvre.changing_s(driven_m, CHECK_TIMES_S)
     left = manoeuvre.offsets(float(across), since_s)
     xy = there + (left / across if across else 0.0 * left)[:, None] * (beside - there)
     return xy, facing(here, xy, driven_m, along)

@@ -9,12 +9,12 @@ import numpy as np
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m
-from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import SLOW_ENTRIES, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 ORDINARY_S, COMES_S = 3.0, 2.0
 """For so long the target drives, and has somebody in view, who drives as everybody does before it asks anything of it;
-and has somebody in view who comes to cross its way."""
+and has somebody in view who comes to cross its way, or is slow on the lane beside, where it has been seen from afar."""
 _ANSWERS_S = 2.5
 """So long before they would meet the target has to begin to give way to somebody who crosses."""
 _SLACK_S = 1e-6
@@ -30,7 +30,8 @@ def perceived_s(view: SituationView, manoeuvre: Manoeuvre) -> float:
     """Return how long from now the target has to begin to answer *manoeuvre*, if it goes on until then."""
     if manoeuvre.kind == "crossing":
         return max(_arrives_s(view, manoeuvre) - _ANSWERS_S, 0.0)
-    return manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
+    now = view.scene.history.xy_m[manoeuvre.row, -1]
+    return manoeuvre.asks_s(now) if manoeuvre.kind in SLOW_ENTRIES else manoeuvre.enters_s(now)
 
 
 def is_due(view: SituationView, manoeuvre: Manoeuvre, since_s: Mapping[str, float]) -> bool:
@@ -41,7 +42,7 @@ def is_due(view: SituationView, manoeuvre: Manoeuvre, since_s: Mapping[str, floa
     crosses = manoeuvre.kind == "crossing"
     bears_s = _arrives_s(view, manoeuvre) if crosses else perceived_s(view, manoeuvre)
     in_view_s = now - since_s.get(view.scene.history.ids[manoeuvre.row], now)
-    longest_s = COMES_S if crosses else ORDINARY_S
+    longest_s = COMES_S if crosses or manoeuvre.kind in SLOW_ENTRIES else ORDINARY_S
     return now + bears_s >= ORDINARY_S - _SLACK_S and in_view_s + bears_s >= longest_s - _SLACK_S
 
 

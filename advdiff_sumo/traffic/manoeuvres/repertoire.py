@@ -26,6 +26,11 @@ STOPPING_KINDS = ("hard-stop", "blocked-lane", DOUBLE)
 """Kinds that end in a stop in the lane."""
 ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 """Kinds after which who drove them may stand in the target's lane."""
+SLOW_MERGE, PULL_OUT = "slow-merge", "pull-out"
+SLOW_ENTRIES = (SLOW_MERGE, PULL_OUT)
+"""Kinds that enter the target's lane at much less than its speed, and go on; see ``slow_entries``."""
+MOST_DEMANDED_MPS2: Mapping[str, float] = {SLOW_MERGE: 5.0, PULL_OUT: 4.0}
+"""What they demand of the target at most: with more a careful driver, whose braking takes time to grow, may be late."""
 HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
 HEAVY_MPS2 = 7.0
@@ -44,8 +49,8 @@ _TIMING_S = (1.5, 3.0)
 _HESITATES_MPS2, _GOES_MPS2 = (1.0, 2.0, 3.0), 2.5
 _HESITATES_S = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 3.0)
 """Somebody at a green light slows as if it were to stop, and goes after all."""
-_BRAKES_SHARE = 0.8
-"""Share of the time of a lane change after which somebody slows: a tenth of the way is left, the box is in the lane."""
+IN_LANE_SHARE = 0.8
+"""Share of the time of a lane change after which somebody slows, or gains speed: a tenth of the way is left."""
 _CRAWLS_SHARE, _STOPS_MPS2 = 0.3, 3.0
 """Who slows harder than this after a change of lanes stops; others go on at a share of the target's speed."""
 IN_LANE_M, BESIDE_M = 1.2, 5.5
@@ -106,14 +111,14 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     target = view.target
     if target is None or not _beside(view, row) or view.speed(row) < _SLOWEST_MPS:
         return
-    goal = _lane_of_target(view, row)
+    goal = lane_of_target(view, row)
     if goal is None:
         return
     way, limit = view.ways[row], view.ways[row].lane.speed_mps
     lateral = abs(view.on_target_way[row][1]) / LATERAL_MPS
     for brake in _possible(view, row, AFTER_CUT_IN_MPS2):
         lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
-        after = SpeedProfile(0.0, _BRAKES_SHARE * lateral, -brake, lowest, limit)
+        after = SpeedProfile(0.0, IN_LANE_SHARE * lateral, -brake, lowest, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
     yield Manoeuvre("cut-in", row, way, into_position(view, target, row), sets_up=True)
 
@@ -254,7 +259,7 @@ def _beside(view: SituationView, row: int) -> bool:
     return BEHIND_M < ahead < AHEAD_M and IN_LANE_M < abs(left) < BESIDE_M
 
 
-def _lane_of_target(view: SituationView, row: int) -> Way | None:
+def lane_of_target(view: SituationView, row: int) -> Way | None:
     """Return the neighbouring way of *row* that lies on the target's way; None where there is none."""
     target = view.target
     on = {lane.id for lane in target.way.lane.lanes} if target is not None else set()

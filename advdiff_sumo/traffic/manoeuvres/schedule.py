@@ -13,8 +13,9 @@ from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_places import comes_beside
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, queue_comes
@@ -50,7 +51,8 @@ def advance(
     company = accompanying(view, {m.row for m in driven}, licence) if DOUBLE in kept.wanted(view) else []
     kept = replace(kept, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    return [*driven, *company], replace(kept, active={**kept.active, **begun})
+    standing = kept.standing.without({name for name, one in begun.items() if not one.sets_up})
+    return [*driven, *company], replace(kept, active={**kept.active, **begun}, standing=standing)
 
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
@@ -70,6 +72,10 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
         standing, stage = queue_comes(view, kept.stage, kept.standing)
         kept = replace(kept, standing=standing, stage=stage)
         kinds = [] if standing.is_queue else kinds
+    for kind in SLOW_ENTRIES:
+        if kind in kinds:
+            standing, stage = comes_beside(view, kept.stage, kept.standing, kind)
+            kept = replace(kept, standing=standing, stage=stage)
     newcomers, stage = come_in(view, kept.stage, kinds)
     hidden = tuple(one for one in newcomers if one.speed_mps == 0.0)
     if hidden:

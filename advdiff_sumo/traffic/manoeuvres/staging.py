@@ -26,6 +26,8 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.MOTORCYCLE: (2.2, 0.8)}
 """Length and width of who comes in."""
+BUS_SIZE_M = (12.0, 2.5)
+"""The same of a bus, which only comes in at a kerb."""
 STAGED = 6
 """Most vehicles that come in during an episode, if nobody says otherwise."""
 _AGAIN_S = 2.0
@@ -81,10 +83,17 @@ class Newcomer(Approach):
     Attributes:
         agent_class: what it is.
         name: its id, once it is sure to come in.
+        onward: edges that it is to drive; (): those of its way.
     """
 
     agent_class: AgentClass = AgentClass.CAR
     name: str = ""
+    onward: tuple[str, ...] = ()
+
+    @staticmethod
+    def size_of(agent_class: AgentClass) -> tuple[float, float]:
+        """Return length and width of who comes in as *agent_class*."""
+        return BUS_SIZE_M if agent_class is AgentClass.BUS else SIZE_M[agent_class]
 
     @property
     def xy_m(self) -> FloatArray:
@@ -93,8 +102,10 @@ class Newcomer(Approach):
 
     @property
     def route(self) -> tuple[str, ...]:
-        """The edges of its way."""
-        return tuple(dict.fromkeys(lane.edge_id for lane in self.way.lane.lanes if not lane.is_internal))
+        """The edges that it drives."""
+        return self.onward or tuple(
+            dict.fromkeys(lane.edge_id for lane in self.way.lane.lanes if not lane.is_internal)
+        )
 
 
 def come_in(
@@ -146,7 +157,7 @@ def with_newcomers(
     more = Tracks(
         ids=tuple(one.name for one in newcomers),
         classes=np.array([int(one.agent_class) for one in newcomers]),
-        size_m=np.array([SIZE_M[one.agent_class] for one in newcomers]),
+        size_m=np.array([Newcomer.size_of(one.agent_class) for one in newcomers]),
         xy_m=np.stack([xy for xy, _ in poses]),
         yaw_rad=yaw,
         speed_mps=np.repeat([[one.speed_mps] for one in newcomers], yaw.shape[1], axis=1),

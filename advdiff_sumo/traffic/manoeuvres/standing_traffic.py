@@ -1,11 +1,11 @@
-"""Vehicles that stand ahead of the target: the end of a queue on every lane, which may crawl, or whom a leader hides.
+"""Vehicles that stand ahead of the target: a queue on every lane, which may crawl, whom a leader hides, who is beside.
 
 They come in beyond the target's sight, and stay in the plan out of sight: where they are follows from where they began.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_S
+from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT, SLOW_ENTRIES, SLOW_MERGE
 from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, NEAR_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, with_newcomers
@@ -30,7 +31,7 @@ _FASTEST_CLOSING_MPS, _STOPS_MPS2 = 22.0, 4.0
 _LEAST_SPEED_MPS = 10.0
 _OUT_OF_SIGHT_M, _LENGTHS_M = 90.0, 8.0
 _LASTS_S, _PAUSE_S = 20.0, 20.0
-_LAST_S: Mapping[str, float] = {QUEUE: _LASTS_S, "cut-out": 60.0}
+_LAST_S: Mapping[str, float] = {QUEUE: _LASTS_S, "cut-out": 60.0, SLOW_MERGE: 20.0, PULL_OUT: 20.0}
 _STAGGER_M = 3.0
 _CLOSED_UP_MPS = 0.5
 _FREE_M, _FREE_S, _IN_LANE_M = 8.0, 1.0, 2.0
@@ -41,7 +42,8 @@ class StandingTraffic:
     """Who stands, or crawls, ahead of the target.
 
     Attributes:
-        kind: what they are for: ``QUEUE``, or "cut-out" for somebody whom a leader hides.
+        kind: what they are for: ``QUEUE``, "cut-out" for somebody whom a leader hides, or one of ``SLOW_ENTRIES`` for
+            somebody beside the target's lane.
         members: each on its way as it came in, on which it goes on at its speed.
         since_s: when they came in.
         again_s: when the next queue may come.
@@ -61,6 +63,14 @@ class StandingTraffic:
     def is_queue(self) -> bool:
         """Whether there is the end of a queue, beside which nobody else attacks."""
         return self.kind == QUEUE and bool(self.members)
+
+    def holds(self, name: str) -> bool:
+        """Return whether *name* is a member that only stands or goes on, and begins nothing of its own."""
+        return name in self.names and self.kind not in SLOW_ENTRIES
+
+    def without(self, names: Container[str]) -> StandingTraffic:
+        """Return it without those *names* who have begun what they came in for."""
+        return replace(self, members=tuple(one for one in self.members if one.name not in names))
 
     def at(self, view: SituationView) -> StandingTraffic:
         """Return what is left of it: it moves off once the target is past it or, at a queue, has closed up.
@@ -133,7 +143,7 @@ def _places(view: SituationView) -> list[Newcomer]:
     waits = any(
         reach < ahead + BEYOND_M and (link.yields or link.tls_id is not None) for reach, link in way.links
     )
-    there, s = _lane_at(way, way.lane.s_m + ahead)
+    there, s = lane_at(way, way.lane.s_m + ahead)
     if waits or way.lane.end_m < ahead + drives or there.is_internal:
         return []
     edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
@@ -151,7 +161,7 @@ def _ahead_m(closing_mps: float) -> float:
     return max(ahead, _OUT_OF_SIGHT_M)
 
 
-def _lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
+def lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
     """Return the lane of *way* that is *s_m* from where its first lane begins, and the place on it."""
     for lane in way.lane.lanes:
         if s_m <= lane.length_m:

@@ -44,6 +44,8 @@ Kind: TypeAlias = Literal[
     "queue",
     "oncoming",
     "double",
+    "slow-merge",
+    "pull-out",
 ]
 
 

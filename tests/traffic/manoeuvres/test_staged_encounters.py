@@ -33,6 +33,10 @@ SHOWN_BY = [
     ("blind-standing", "town", "cut-out", SEED),
     ("blind-standing", "beside", "queue", SEED),
     ("weak-brakes", "fast", "queue", SEED),
+    ("weak-brakes", "street", "slow-merge", SEED),
+    ("cut-in", "street", "slow-merge", SEED),
+    ("range", "kerb", "pull-out", SEED),
+    ("cut-in", "kerb", "pull-out", SEED),
     ("blind-unprotected", "beside", "hard-stop", MOTORCYCLE_FIRST),
     ("blind-oncoming", "turn_across", "oncoming", SEED),
     ("priority", "turn_across", "oncoming", SEED),
@@ -57,7 +61,12 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
     beside = Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0)
     town = Encounter(two_lanes(folder, 9.0), Scripted(("WM_0", "ME_0"), 50.0, 8.8), ("WM", "ME"), (), 14.0)
     fast = Encounter(two_lanes(folder, 33.0), Scripted(("WM_0", "ME_0"), 50.0, 31.0), ("WM", "ME"), (), 20.0)
+    avenue = two_lanes(folder, 14.0)
+    street = Encounter(avenue, Scripted(("WM_0", "ME_0"), 50.0, 13.0), ("WM", "ME"), (), 14.0)
+    kerb = Encounter(avenue, Scripted(("WM_1", "ME_1"), 50.0, 13.0), ("WM", "ME"), (), 14.0)
     return {
+        "street": street,
+        "kerb": kerb,
         "fast": fast,
         "town": town,
         "give_way": Encounter(sign, from_south, north, (), 12.0),

@@ -1,0 +1,156 @@
+"""Who comes in beside the target's lane to enter it slowly: where, what it is, and where nobody may."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.lanes import Lane
+from advdiff_sumo.traffic.manoeuvres import commitments
+from advdiff_sumo.traffic.manoeuvres.agenda import Agenda, is_possible
+from advdiff_sumo.traffic.manoeuvres.commitments import OF_ANY, Commitments
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_places import can_come_beside, comes_beside
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import StandingTraffic
+from tests.traffic.manoeuvres.scenes import long_lane, scene_on, view_of
+
+STAGE = StagingMemory(most=6, classes=(AgentClass.TRUCK,))
+
+
+def who_comes(view: SituationView, kind: str, stage: StagingMemory = STAGE) -> tuple[Newcomer, ...]:
+    return comes_beside(view, stage, StandingTraffic(), kind)[0].members
+
+
+def place(road: RoadMap, one: Newcomer) -> tuple[str, float]:
+    """Return the lane of *one*, and how far it is ahead of a target 50 m along the long lane."""
+    return one.way.present_lane.id, float(long_lane(road).line.project(one.xy_m)[0]) - 50.0
+
+
+def test_somebody_crawls_where_it_may_soon_enter(motorway: RoadMap) -> None:
+    """9 m/s, 10.7 by 3.5 s: a quarter is 2.7, and 1.1 (0.75 · 11.2 + (11.2² - 2.7²) / 12) + 1 m the lawful gap, 21 m.
+
+    A second at 8.0 m/s before that, 3.5 s until then, and half of a lorry and of the target: 64 m.
+    """
+    view = view_of(motorway, target=(0, 50.0, 9.0))
+    (one,) = who_comes(view, "slow-merge")
+    lane, ahead = place(motorway, one)
+    assert lane == long_lane(motorway).left_id
+    assert one.speed_mps == pytest.approx(0.25 * 10.75, abs=0.05)
+    assert ahead == pytest.approx(64.0, abs=1.0)
+    assert one.agent_class is AgentClass.TRUCK
+    assert one.route == view.scene.routes[0]
+
+
+def test_ahead_of_a_fast_target_it_is_less_slow(motorway: RoadMap) -> None:
+    shares = []
+    for speed in (9.0, 14.0, 18.0):
+        (one,) = who_comes(view_of(motorway, target=(0, 50.0, speed)), "slow-merge")
+        shares.append(one.speed_mps / (speed + 1.75))
+    assert shares == pytest.approx([0.25, 0.25, 0.55])
+    assert not who_comes(view_of(motorway, target=(0, 50.0, 30.0)), "slow-merge")
+
+
+def test_a_bus_stands_at_the_kerb_first(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(1, 50.0, 9.0))
+    standing, stage = comes_beside(view, STAGE, StandingTraffic(), "pull-out")
+    (one,) = standing.members
+    assert (one.agent_class, one.speed_mps, one.name) == (AgentClass.BUS, 0.0, "staged-0")
+    assert one.size_of(one.agent_class) == (12.0, 2.5)
+    lane, ahead = place(motorway, one)
+    assert lane == long_lane(motorway).id
+    assert 36.0 < ahead < 110.0
+    assert stage.count == 1
+    (second,) = who_comes(view, "pull-out", stage)
+    assert second.agent_class is AgentClass.TRUCK
+    assert not who_comes(view_of(motorway, target=(0, 50.0, 9.0)), "pull-out")  # it drives at the kerb itself
+
+
+def kerb_lanes(road: RoadMap) -> tuple[Lane, Lane]:
+    """Return the outermost lane of the longest edge with two, and the one beside it."""
+    edges = [edge for edge in road.edges.values() if len(edge.lane_ids) > 1 and not edge.is_internal]
+    lanes = [road.lanes[name] for name in max(edges, key=lambda edge: edge.length_m).lane_ids]
+    return lanes[0], lanes[1]
+
+
+@pytest.mark.parametrize("net", ["downtown", "downtown-left"])
+def test_who_stands_at_the_kerb_is_on_the_side_that_people_drive_on(net: str, networks: object) -> None:
+    """40 m ahead of a target at 8 m/s; seen from the kerb's lane itself, who stands is on the wrong side."""
+    road = RoadMap.read(f"{networks}/{net}.net.xml")
+    outer, inner = kerb_lanes(road)
+    assert (outer.right_id if net == "downtown" else outer.left_id) is None
+    for own, other, begins in ((inner, outer, True), (outer, inner, False)):
+        scene = scene_on({"target": (own, 10.0, 8.0), "bus": (other, 50.0, 0.0)}, time_s=3.0)
+        kept = Commitments({"pull-out": 1.0}, since_s={"bus": 0.0})
+        driven, _ = advance(SituationView.of(road, scene), kept, 2, 8.0)
+        assert [(m.kind, m.row) for m in driven] == [("pull-out", 1)] * begins
+
+
+@pytest.mark.parametrize(
+    ("cars", "stage"),
+    [
+        ({"leader": (0, 80.0, 9.0)}, STAGE),
+        ({"behind": (1, 80.0, 9.0)}, STAGE),
+        ({}, replace(STAGE, most=0)),
+        ({}, replace(STAGE, count=6)),
+    ],
+)
+def test_nobody_comes_in(
+    cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
+) -> None:
+    """The target has a leader; somebody would have to brake behind who crawls; nobody may; all have."""
+    view = view_of(motorway, target=(0, 50.0, 9.0), **cars)
+    assert not who_comes(view, "slow-merge", stage)
+    slow = view_of(motorway, target=(0, 50.0, 5.0))
+    assert not can_come_beside(slow, "slow-merge")
+
+
+def test_who_has_begun_stands_for_it_no_longer(motorway: RoadMap) -> None:
+    """A bus that stood 40 m ahead sets off, at 10 m/s, and is driven by its manoeuvre from then on."""
+    stands = {"target": (1, 50.0, 10.0), "staged-0": (0, 50.0 + 46.0, 0.0)}
+    right = long_lane(motorway)
+    lanes = [motorway.lanes[name] for name in motorway.edges[right.edge_id].lane_ids]
+    scene = scene_on({name: (lanes[k], s, v) for name, (k, s, v) in stands.items()}, time_s=4.0)
+    view = SituationView.of(motorway, scene)
+    (one,) = who_comes(view_of(motorway, target=(1, 50.0, 10.0)), "pull-out")
+    kept = Commitments({"pull-out": 1.0}, since_s={"staged-0": 0.0}, stage=STAGE)
+    kept = replace(kept, standing=StandingTraffic("pull-out", (one,), 0.0, 15.0))
+    driven, after = advance(view, kept, 2, 8.0)
+    assert [m.kind for m in driven] == ["pull-out"]
+    assert after.standing.members == ()
+    assert after.attacking == ("staged-0",)
+    assert let_in(view, after)[1].standing.members == ()
+
+
+def test_any_is_without_them_until_it_is_said(motorway: RoadMap) -> None:
+    assert tuple(KINDS) == OF_ANY
+    drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
+    assert not set(SLOW_ENTRIES) & {kind for order in drawn for kind in order}
+    asked = [Agenda.drawn(np.random.default_rng(k), SLOW_ENTRIES).order for k in range(40)]
+    assert [tuple(kind for kind in order if kind not in SLOW_ENTRIES) for order in asked] == drawn
+    assert {kind for order in asked for kind in order} >= set(SLOW_ENTRIES)
+    free, led = (
+        view_of(motorway, target=(1, 50.0, 9.0)),
+        view_of(motorway, target=(1, 50.0, 9.0), leader=(1, 90.0, 9.0)),
+    )
+    for kind in SLOW_ENTRIES:
+        assert is_possible(free, kind)
+        assert not is_possible(led, kind)
+
+
+def test_one_line_makes_them_part_of_any(motorway: RoadMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have turns at first, in which who is to enter slowly comes in."""
+    free = view_of(motorway, target=(1, 50.0, 9.0))
+    before = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
+    monkeypatch.setattr(commitments, "OF_ANY", (*KINDS, *SLOW_ENTRIES))
+    after = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
+    assert {kind for kept in before for kind in kept.weights} == set(KINDS)
+    assert all(set(kept.weights) == {*KINDS, *SLOW_ENTRIES} for kept in after)
+    kinds = {kept.agenda.now: let_in(free, kept)[1].standing.kind for kept in after}
+    assert all(kinds[kind] == kind for kind in SLOW_ENTRIES)

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Lane, Link
-from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
+from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S, TargetWay
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, SituationView
@@ -69,27 +69,41 @@ def _places(view: SituationView, kind: str, agent_class: AgentClass) -> Iterator
     if target is None or target.speed_mps < _LEAST_TARGET_MPS:
         return
     seen_s = _SEEN_S if kind == PULL_OUT else max(_AT_FIRST_S - view.scene.time_s, _SEEN_S)
-    gains = view.gains_mps2(view.scene.target) * (seen_s + (_PERCEIVED_S if kind == PULL_OUT else _MERGES_S))
-    speed = float(np.interp(seen_s, FINE_TIMES_S, target.goes_on_mps))
-    speed = max(speed, min(target.speed_mps + gains, target.way.lane.speed_mps))
-    goes_on = _GOES_ON_M + 0.5 * Newcomer.size_of(agent_class)[0]
+    speed = _speed_then(view, target, seen_s, _PERCEIVED_S if kind == PULL_OUT else _MERGES_S)
     for drives, ahead in _distances(view, speed, kind, agent_class):
-        ahead += seen_s * (speed - drives)
-        way = view.far(target.way, ahead)
-        there, s = lane_at(way, way.lane.s_m + ahead)
-        waits = any(reach < ahead + goes_on and not _is_free(view, link) for reach, link in way.links)
-        if waits or there.is_internal or way.lane.end_m < ahead + goes_on or not view.is_first(ahead):
-            continue
-        edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
-        route = tuple(view.scene.routes[view.scene.target])
-        onward = (
-            route[route.index(there.edge_id) :] if there.edge_id in route else ()
-        )  # so it has to change lanes
-        for lane in _lanes_beside(view, there, kind):
-            on = Way(lane_ahead(view.road.lanes, lane, min(s, lane.length_m), 0.0, edges))
-            one = Newcomer(on, min(drives, lane.speed_mps), agent_class, onward=onward)
-            if on.lane.end_m > goes_on and _is_alone(view, one):
-                yield one
+        yield from _beside(view, target, kind, agent_class, drives, ahead + seen_s * (speed - drives))
+
+
+def _speed_then(view: SituationView, target: TargetWay, seen_s: float, then_s: float) -> float:
+    """Return the speed of the target in *seen_s*, or, while it gains speed, the one that it may have *then_s* later."""
+    gains = view.gains_mps2(view.scene.target) * (seen_s + then_s)
+    speed = float(np.interp(seen_s, FINE_TIMES_S, target.goes_on_mps))
+    return max(speed, min(target.speed_mps + gains, target.way.lane.speed_mps))
+
+
+def _beside(
+    view: SituationView,
+    target: TargetWay,
+    kind: str,
+    agent_class: AgentClass,
+    speed_mps: float,
+    ahead_m: float,
+) -> Iterator[Newcomer]:
+    """Yield who may come in beside the target's lane at *speed_mps*, its centre *ahead_m* of the target's."""
+    goes_on = _GOES_ON_M + 0.5 * Newcomer.size_of(agent_class)[0]
+    way = view.far(target.way, ahead_m)
+    there, s = lane_at(way, way.lane.s_m + ahead_m)
+    waits = any(reach < ahead_m + goes_on and not _is_free(view, link) for reach, link in way.links)
+    if waits or there.is_internal or way.lane.end_m < ahead_m + goes_on or not view.is_first(ahead_m):
+        return
+    edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
+    route = tuple(view.scene.routes[view.scene.target])
+    onward = route[route.index(there.edge_id) :] if there.edge_id in route else ()  # it has to change lanes
+    for lane in _lanes_beside(view, there, kind):
+        on = Way(lane_ahead(view.road.lanes, lane, min(s, lane.length_m), 0.0, edges))
+        one = Newcomer(on, min(speed_mps, lane.speed_mps), agent_class, onward=onward)
+        if on.lane.end_m > goes_on and _is_alone(view, one):
+            yield one
 
 
 def _is_free(view: SituationView, link: Link) -> bool:

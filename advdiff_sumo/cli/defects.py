@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
@@ -14,61 +14,69 @@ from advdiff_sumo.cli.worker_flags import Timeout, Workers
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
 
+_Target: TypeAlias = Annotated[
+    str, typer.Option(help="Planner to plant them in: lane_graph, a plug-in's name, or package.module:Class.")
+]
+_Background: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Background that is to see them, as of bench defects; may be given several times.",
+        show_default="sumo",
+    ),
+]
+_Defect: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Only this one, as NAME or NAME:SEVERITY; may be given several times.", show_default="all"
+    ),
+]
+_Net: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Seed scenes of this net, .sumocfg or shipped net, as run finds them; several take turns.",
+        show_default="a shipped list of seed scenes",
+    ),
+]
+_Scenes: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Number of scenes of --net or the shipped list; or a list file, or a driving log: one a second.",
+        show_default="60",
+    ),
+]
+_Horizon: TypeAlias = Annotated[
+    float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
+]
+_Assign: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Another option of run, as NAME=VALUE: scene.…, sim.…, seed and demand with --net, "
+        "background_options.… and target_options.….",
+    ),
+]
+_Out: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the results; a finished one is only printed.",
+        show_default="runs/defects-TARGET, with --net …-NET",
+    ),
+]
+
 
 def defects(
-    target: Annotated[
-        str,
-        typer.Option(help="Planner to plant them in: lane_graph, a plug-in's name, or package.module:Class."),
-    ] = "lane_graph",
-    background: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Background that is to see them, as of bench defects; may be given several times.",
-            show_default="sumo",
-        ),
-    ] = None,
-    defect: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Only this one, as NAME or NAME:SEVERITY; may be given several times.", show_default="all"
-        ),
-    ] = None,
+    target: _Target = "lane_graph",
+    background: _Background = None,
+    defect: _Defect = None,
     severity: Severity = None,
-    net: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Seed scenes of this net, .sumocfg or shipped net, as run finds them; several take turns.",
-            show_default="a shipped list of seed scenes",
-        ),
-    ] = None,
-    scenes: Annotated[
-        str | None,
-        typer.Option(
-            help="Number of scenes of --net or the shipped list; or a list file, or a driving log: one a second.",
-            show_default="60",
-        ),
-    ] = None,
+    net: _Net = None,
+    scenes: _Scenes = None,
     licence: DefectsLicence = None,
-    horizon: Annotated[
-        float | None, typer.Option(help="Longest duration of an episode, s.", show_default="30")
-    ] = None,
-    assign: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="Another option of run, as NAME=VALUE: scene.…, sim.…, seed and demand with --net, "
-            "background_options.… and target_options.….",
-        ),
-    ] = None,
+    horizon: _Horizon = None,
+    assign: _Assign = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the results; a finished one is only printed.",
-            show_default="runs/defects-TARGET, with --net …-NET",
-        ),
-    ] = None,
+    out: _Out = None,
     as_json: flags.Json = False,
 ) -> None:
     """Plant defects in a planner and print which of them a background detects, and its false alarms.

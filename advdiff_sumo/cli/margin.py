@@ -90,18 +90,11 @@ def margin(
     from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
     from advdiff_sumo.experiments.margin_command import margin_command
     from advdiff_sumo.experiments.margin_trials import MarginTrials
-    from advdiff_sumo.report.page import write_report
     from advdiff_sumo.sim.free_folder import named_folder
 
     asked = _asked(attack, by, within)
-    given = {
-        "target": target,
-        "net": net,
-        "demand": demand and str(demand),
-        "horizon_s": horizon,
-        "seed": seed,
-        "background": "scripted",
-    }
+    given: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
+    given |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
     options = options_given(config, given, {"attackers": 1}, assign or [], defect)
     planted = options.target_options.get("defects", ())
     about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
@@ -114,19 +107,28 @@ def margin(
         if not margins:
             raise typer.Exit(_FAILED)
         trials.keep(margins, margin_command(options, attack, by, within))
+    _tell(console, options.target, folder, attack, margins, as_json)
+    if len(margins) < len(asked) or not any(one.margin.is_known for one in margins):
+        raise typer.Exit(_FAILED)
+
+
+def _tell(
+    console: Console, target: str, folder: Path, attack: str, margins: Sequence[MarginOf], as_json: bool
+) -> None:
+    """Write the report, and print the *margins* of *target* and where it is."""
+    from advdiff_sumo.report.page import write_report
+
     report = write_report(folder)
     for one in margins:
-        console.print(f"{options.target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
+        console.print(f"{target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
     if as_json:
         print_json(
             {"folder": str(folder.resolve()), "report": str(report.resolve()), **_found(attack, margins)}
         )
-    if len(margins) < len(asked) or not any(one.margin.is_known for one in margins):
-        raise typer.Exit(_FAILED)
 
 
-def _found(attack: str, margins: list[MarginOf]) -> dict[str, Any]:
+def _found(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
     """Return what ``--json`` prints of the *margins*: of one attack its values, of all attacks a list."""
     from advdiff_sumo.experiments.margin import EVERY_ATTACK
 

@@ -83,38 +83,44 @@ def run(
     """
     one_thread_for_good()
     end_as_by_ctrl_c()
-    where = {"net": net, "demand": demand and str(demand), "scenes": scenes and str(scenes), "seed": seed}
-    what = {"target": target, "background": background, "episodes": episodes, "horizon_s": horizon}
-    attacking = {"licence": licence, "strength": strength, "attackers": attackers, "attack": attack}
-    files = {"weights": flags.weights_of(weights), "reward": reward and str(reward.resolve())}
-    policy = attacking | {"guide": guide} | files | {"device": device}
-    begun = _begun(out) if resume else None
-    config = config or begun
-    flags.check_retry(retry_failed, resume)
+    given: dict[str, Any] = {"net": net, "target": target, "background": background, "episodes": episodes}
+    given |= {"demand": demand and str(demand), "scenes": scenes and str(scenes), "horizon_s": horizon}
+    policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
+    policy |= {"attack": attack, "guide": guide, "weights": flags.weights_of(weights)}
+    policy |= {"reward": reward and str(reward.resolve()), "device": device}
+    begun = _begun(out, resume, retry_failed)
+    options = options_given(config or begun, given | {"seed": seed}, policy, assign or [], defect)
+    prepared, notes = _prepared(options, gui)
+    console = terminal(quiet=quiet or as_json)
+    folder = _continued_or_new(console, prepared, notes, out, begun)
+    with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
+        limits = limits_of(stack, math.inf, plan_timeout, memory)
+        stack.callback(_report, console, folder, not no_report, resume)
+        count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
+    _tell_outcome(console, folder, prepared, count, check, as_json)
+
+
+def _continued_or_new(
+    console: Console, prepared: Run, notes: Iterable[str], out: Path | None, begun: Path | None
+) -> RunFolder:
+    """Return the folder of the run *begun*, with a word where code has changed since, or a new one; print *notes*."""
+    before = read_toml(begun).get("run", {}) if begun else {}
+    folder = _folder(prepared, out, begun is not None)
+    if begun:
+        tell_changed_code(read_toml(begun)["run"], before)
+    print_notes(console, notes)
+    return folder
+
+
+def _prepared(options: RunOptions, gui: bool) -> tuple[Run, list[str]]:
+    """Return the checked run and what of logs and demand it leaves out; workers start meanwhile."""
     flags.check_display(gui)
-    options = options_given(config, where | what, policy, assign or [], defect)
     if not gui:
         _start_workers(options)
     from advdiff_sumo.sim.run_episodes import Run  # late: workers import what they need meanwhile
 
     prepared = Run.prepare(options, gui)
-    notes = prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
-    before = read_toml(begun).get("run", {}) if begun else {}
-    folder = _folder(prepared, out, resume)
-    console = terminal(quiet=quiet or as_json)
-    if begun:
-        tell_changed_code(read_toml(begun)["run"], before)
-    print_notes(console, notes)
-    with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
-        limits = limits_of(stack, math.inf, plan_timeout, memory)
-        if not no_report:
-            stack.callback(_draw, folder.path)
-        count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
-    if resume and no_report:
-        from advdiff_sumo.cli.summary import note_old_report  # late, as above
-
-        note_old_report(console, folder.path)
-    _tell_outcome(console, folder, prepared, count, check, as_json)
+    return prepared, prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
 
 
 def _start_workers(options: RunOptions) -> None:
@@ -217,16 +223,22 @@ def _episodes(
         return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
 
 
-def _draw(folder: Path) -> None:
-    """Draw the report, if there are tables to draw."""
-    from advdiff_sumo.report.page import write_report  # late, as above
+def _report(console: Console, folder: RunFolder, wanted: bool, resumed: bool) -> None:
+    """Draw the report if it is *wanted* and there are tables to draw; else say that a *resumed* run's is of before."""
+    from advdiff_sumo.cli.summary import note_old_report  # late, as above
+    from advdiff_sumo.report.page import write_report
 
-    if (folder / "episodes.parquet").exists():
-        write_report(folder)
+    if wanted and (folder.path / "episodes.parquet").exists():
+        write_report(folder.path)
+    elif resumed and not wanted:
+        note_old_report(console, folder.path)
 
 
-def _begun(out: Path | None) -> Path:
-    """Return the options of the run in *out* that is to go on."""
+def _begun(out: Path | None, resume: bool, retry_failed: bool) -> Path | None:
+    """Return the options of the run in *out* that is to go on; None where none is."""
+    flags.check_retry(retry_failed, resume)
+    if not resume:
+        return None
     if out is None:
         raise ConfigError("--resume does not say which run; add its folder with --out")
     settings = out / "run.toml"

@@ -57,18 +57,15 @@ def sweep(
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.summary import note_old_report, run_object  # late: --help needs no simulator
+    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
-    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, settings_of
-    from advdiff_sumo.sweep.sweep_store import Store
+    from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
-    if resume is not None and out is not None and out.resolve() != resume.resolve():
-        raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
+    begun = _begun(resume, out)
     console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
-    begun = None if resume is None else Store.open(resume)
     slots = workers or worker.cores()
     with ExitStack() as stack:
         if dry_run:
@@ -81,23 +78,48 @@ def sweep(
         if junit is not None:
             check_junit(junit)
         done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
-        if begun is not None:
-            tell_changed_code(settings_of(plan)["made_by"], begun.made_by())
-        store = open_store(
-            resume or out or _new_folder(console, file), plan, done_by.slots, resume is not None
-        )
-        stack.enter_context(
-            says_how_to_go_on(lambda: f"advdiff-sumo sweep --resume {shlex.quote(str(store.path))}")
-        )
+        _tell_changed(plan, begun)
+        folder = resume or out or _new_folder(console, file)
+        store = open_store(folder, plan, done_by.slots, resume is not None)
+        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(store)))
         todo = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _episodes(console, plan, store, todo, done_by, retries)
-    if report:
-        _draw(console, store.path)
-    elif todo.done < todo.total:
-        note_old_report(console, store.path)
+    _show_report(console, store.path, report, todo.done < todo.total)
     if as_json:
         print_json({**run_object(store.path), "missing": missing})
     conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
+
+
+def _begun(resume: Path | None, out: Path | None) -> Store | None:
+    """Return the sweep to go on with, if there is one."""
+    from advdiff_sumo.sweep.sweep_store import Store
+
+    if resume is not None and out is not None and out.resolve() != resume.resolve():
+        raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
+    return None if resume is None else Store.open(resume)
+
+
+def _tell_changed(plan: SweepPlan, begun: Store | None) -> None:
+    """Say of which planners and policies the code is not that of the episodes which are there already."""
+    from advdiff_sumo.sweep.sweep_runner import settings_of
+
+    if begun is not None:
+        tell_changed_code(settings_of(plan)["made_by"], begun.made_by())
+
+
+def _to_go_on(store: Store) -> str:
+    """Return the command that goes on with the sweep."""
+    return f"advdiff-sumo sweep --resume {shlex.quote(str(store.path))}"
+
+
+def _show_report(console: Console, folder: Path, wanted: bool, is_longer: bool) -> None:
+    """Write the page if it is *wanted*, else say so where one is there already of fewer episodes."""
+    from advdiff_sumo.cli.summary import note_old_report
+
+    if wanted:
+        _draw(console, folder)
+    elif is_longer:
+        note_old_report(console, folder)
 
 
 def _draw(console: Console, folder: Path) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +16,9 @@ from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import Timeout, limits_of
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
+
+if TYPE_CHECKING:
+    from advdiff_sumo.sim.run_episodes import RunOptions
 
 
 def warmup(
@@ -56,25 +60,33 @@ def warmup(
     """
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given
-    from advdiff_sumo.experiments.warmup_worker import warm_up_in_worker
 
+    _check_out(out)
+    policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
+    policy |= {"attack": attack, "weights": flags.weights_of(weights), "device": device}
+    background = background or ("diffusion" if licence == "reckless" else "scripted")
+    given: dict[str, Any] = {"net": net, "target": target, "seed": seed, "horizon_s": horizon}
+    options = options_given(None, given | {"background": background}, policy, assign or [], defect)
+    for line in _warm_up(options, steps, out, licence, timeout):
+        terminal().print(line, soft_wrap=True)
+
+
+def _check_out(out: Path) -> None:
+    """Refuse a file that cannot be written, before the warm-up, which takes minutes."""
     if out.suffix != ".safetensors":
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")
     if not out.parent.is_dir():
         raise FileError(out.parent, "no such folder", "make it, or choose another --out")
-    if not os.access(out.parent, os.W_OK):  # before the warm-up, which takes minutes
+    if not os.access(out.parent, os.W_OK):
         raise FileError(out.parent, "nothing can be written into it", "choose another --out")
-    policy = {
-        "licence": licence,
-        "strength": strength,
-        "attackers": attackers,
-        "attack": attack,
-        "weights": flags.weights_of(weights),
-        "device": device,
-    }
-    background = background or ("diffusion" if licence == "reckless" else "scripted")
-    given: dict[str, Any] = {"net": net, "target": target, "seed": seed, "horizon_s": horizon}
-    options = options_given(None, given | {"background": background}, policy, assign or [], defect)
+
+
+def _warm_up(
+    options: RunOptions, steps: int, out: Path, licence: str | None, timeout_s: float
+) -> Sequence[str]:
+    """Learn in *steps* plans behind a bar, and return what there is to say of it."""
+    from advdiff_sumo.experiments.warmup_worker import warm_up_in_worker  # late: --help needs no simulator
+
     with ExitStack() as stack:
         limits = limits_of(stack, math.inf, memory_mb=0)
         progress = stack.enter_context(progress_bar(terminal()))
@@ -85,10 +97,9 @@ def warmup(
             out,
             licence,
             limits,
-            timeout,
+            timeout_s,
             lambda plans: progress.update(task, completed=plans),
             lambda said: typer.echo(said, err=True),
         )
         progress.update(task, completed=steps)
-    for line in lines:
-        terminal().print(line, soft_wrap=True)
+    return lines

@@ -132,9 +132,7 @@ def convert_source(
     *close_rim*, return edges beside the map lead from where it then ends to where it begins (:mod:`.rim`). With
     *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
     """
-    left = lefthand
-    if left is None:
-        left = source.keeps_left or drives_left(source.location)
+    left = (source.keeps_left or drives_left(source.location)) if lefthand is None else lefthand
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))
@@ -151,8 +149,7 @@ def convert_source(
     waiting = [*waiting_turns(plan, source), *beyond.streets.first_to_go]
     warnings = _build(joined, source, out_net, layout.counts, beyond, waiting)
     if opendrive:
-        xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
-        write_opendrive(plan, xodr, source.location, source.projection)
+        _write_opendrive(plan, source, out_net)
     layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, joined)
     if beyond.returns:
         put_aside(out_net, plan, beyond.returns)
@@ -163,7 +160,6 @@ def convert_source(
         layout.counts["signals timed for traffic"] = set_fixed_times(out_net, cycle_for)
     foot_paths = _foot_paths(out_net, source, crossings)
     write_sidecar(source, sidecar_path(out_net))
-    counts = source.notes + layout.counts
     return ConversionResult(
         out_net,
         sidecar_path(out_net),
@@ -173,11 +169,17 @@ def convert_source(
         layout,
         plan,
         doubles,
-        counts,
+        source.notes + layout.counts,
         warnings,
         foot_paths,
         beyond.streets if osm is not None else None,
     )
+
+
+def _write_opendrive(plan: NetPlan, source: SourceMap, out_net: Path) -> None:
+    """Write the map beside *out_net* as OpenDRIVE."""
+    xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
+    write_opendrive(plan, xodr, source.location, source.projection)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,17 @@ from collections.abc import Container, Iterator, Sequence
 
 import numpy as np
 
-from advdiff_sumo.core.frames import local_from_world, wrap_angle
+from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
+from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, SAME_WAY, STOPS_FROM_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 ACCOMPANIES = "accompanies"
 """What somebody does who keeps its place beside or behind the target."""
@@ -31,8 +33,8 @@ _LEAST_ASIDE_M = 2.0
 _CLOSES_PER_S, _SETTLES_S, _GENTLY_MPS2 = 0.4, 0.8, 2.0
 _SLOWEST_SHARE, _SLOWER_MPS = 0.5, 7.0
 """Who falls back to its place is no slower than this share of the target's speed, and by no more than that."""
-_BRAKES_MPS2 = 2.5
-"""Who brakes harder answers something."""
+_BRAKES_MPS2, _DRIFTS_MPS = 2.5, 0.5
+"""Who brakes harder answers something; who moves sideways faster changes lanes, and is not to be hemmed in."""
 _GAINS_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
 
 
@@ -65,8 +67,12 @@ def _is_beside(view: SituationView, target: TargetWay, side: str) -> bool:
     if target.way.present_lane.is_internal:
         return bool(accompanies(view, side))
     way = view.neighbour(view.scene.target, side)
-    own = {lane.id for lane in target.way.lane.lanes}
-    return way is not None and way.lane.end_m == np.inf and not any(x.id in own for x in way.lane.lanes)
+    return way is not None and way.lane.end_m == np.inf and not _joins(target, way)
+
+
+def _joins(target: TargetWay, way: Way) -> bool:
+    """Return whether *way* begins on or leads into a lane of the target's way."""
+    return not {lane.id for lane in target.way.lane.lanes}.isdisjoint(lane.id for lane in way.lane.lanes)
 
 
 def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
@@ -95,9 +101,11 @@ def accompanying(
 ) -> list[Manoeuvre]:
     """Return how those near, except the *busy* ones, get to their ``places`` or keep them.
 
-    Once the target brakes they are their own drivers again.
+    Once the target brakes, or changes lanes, they are their own drivers again.
     """
-    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS or _target_brakes(view):
+    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS:
+        return []
+    if target_brakes(view, _BRAKES_MPS2) or abs(view.target.way.drift_mps) > _DRIFTS_MPS:
         return []
     out = []
     for side, ahead_m in places(view).items():
@@ -109,9 +117,14 @@ def accompanying(
 
 
 def accompanies(view: SituationView, side: str) -> Sequence[int]:
-    """Return the rows of those on the lane to the target's *side*, or behind it for "", that may be moved."""
+    """Return the rows of those on the lane to the target's *side*, or behind it for "", that may be moved.
+
+    Whoever drives on the target's way, aside of its heading in a bend, or leads into it is left out.
+    """
     if not side:
         return [row for row in (view.follower,) if row is not None and row in view.movable]
+    if view.target is None:
+        return []
     now, target = view.scene.history, view.scene.target
     yaw = now.yaw_rad[:, -1]
     sign = 1.0 if side == "left" else -1.0
@@ -119,7 +132,8 @@ def accompanies(view: SituationView, side: str) -> Sequence[int]:
     for row in view.movable:
         ahead, left = _place(view, row)
         beside = _LEAST_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
-        if beside and np.cos(float(wrap_angle(float(yaw[row] - yaw[target])))) > SAME_WAY:
+        same_way = np.cos(yaw[row] - yaw[target]) > SAME_WAY
+        if beside and same_way and not _joins(view.target, view.ways[row]):
             rows.append((abs(ahead), row))
     return [row for _, row in sorted(rows)]
 
@@ -143,12 +157,6 @@ def _assigned(
         for row in some:
             at = _place(view, row)[0]
             yield row, min(ahead_m, key=lambda place: abs(place - at))
-
-
-def _target_brakes(view: SituationView) -> bool:
-    history = view.scene.history
-    speed = history.speed_mps[view.scene.target]
-    return len(speed) > 1 and bool((speed[-2] - speed[-1]) / history.dt_s > _BRAKES_MPS2)
 
 
 def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -> Manoeuvre:

@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import BRAKING_KINDS, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import meeting_m
-from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links, cut_out_at, into_position
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, crossing_links, cut_out_at, into_position
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 
@@ -92,15 +92,15 @@ def arrives_before_s(view: SituationView, row: int, driven_m: FloatArray) -> flo
 
 def braking_with(manoeuvre: Manoeuvre, braking_mps2: float | None) -> Manoeuvre:
     """Return *manoeuvre* with this braking where it is an attack by braking; None: as it is."""
-    if braking_mps2 is None or manoeuvre.sets_up or manoeuvre.kind not in BRAKING_KINDS:
+    if braking_mps2 is None or manoeuvre.sets_up or manoeuvre.kind not in (*BRAKING_KINDS, DOUBLE):
         return manoeuvre
     profile = manoeuvre.profile
     first, then = (-braking_mps2 if a < 0.0 else a for a in (profile.first_mps2, profile.then_mps2))
     return replace(manoeuvre, profile=replace(profile, first_mps2=first, then_mps2=then))
 
 
-def target_brakes(view: SituationView) -> bool:
-    """Return whether the target has braked by over 1 m/s² in the last step."""
+def target_brakes(view: SituationView, over_mps2: float = _BRAKES_MPS2) -> bool:
+    """Return whether the target has braked by over *over_mps2*, 1 m/s² if none is given, in the last step."""
     history = view.scene.history
     speed = history.speed_mps[view.scene.target]
-    return len(speed) > 1 and bool((speed[-2] - speed[-1]) / history.dt_s > _BRAKES_MPS2)
+    return len(speed) > 1 and bool((speed[-2] - speed[-1]) / history.dt_s > over_mps2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,16 +14,19 @@ from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.company import (
     ACCOMPANIES,
+    accompanies,
     accompanying,
     entrances,
     places,
     spacing_m,
 )
 from advdiff_sumo.traffic.manoeuvres.hidden_stop import hides, stops_in_company
+from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, come_in
+from tests.sim.nets import build
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 TARGET = {"target": (1, 100.0, 20.0)}
@@ -73,6 +77,38 @@ def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: R
     assert count
 
 
+def test_who_leads_the_target_through_a_bend_is_not_beside_it(tmp_path: Path) -> None:
+    """After 38 m of a bend of 150 m radius a leader is 38²/(2 · 150) m = 4.8 m to the left of the target's heading."""
+    turns = np.arange(0.0, 1.5, 0.1)
+    shape = " ".join(f"{150.0 * np.sin(a):.2f},{150.0 * (1.0 - np.cos(a)):.2f}" for a in turns)
+    nodes = '<nodes><node id="a" x="0" y="0"/><node id="b" x="147.8" y="124.5"/></nodes>'
+    edges = f'<edges><edge id="ab" from="a" to="b" numLanes="2" speed="22" shape="{shape}"/></edges>'
+    road = RoadMap.read(build(tmp_path, nodes, edges, name="bend"))
+    cars = {"target": (road.lanes["ab_0"], 40.0, 15.0), "leader": (road.lanes["ab_0"], 78.0, 15.0)}
+    view = SituationView.of(road, scene_on(cars | {"beside": (road.lanes["ab_1"], 46.0, 15.0)}))
+    assert accompanies(view, "left") == [2]
+
+
+def test_who_comes_up_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Path) -> None:
+    """The ramp meets the road at 11°: 20 m before, it is 4 m aside; without the ways ahead it would be company."""
+    nodes = "".join(
+        f'<node id="{name}" x="{x}" y="{y}"/>'
+        for name, x, y in (("a", 0, 0), ("r", 0, -60), ("m", 300, 0), ("e", 600, 0))
+    )
+    edges = "".join(
+        f'<edge id="{edge}" from="{edge[0]}" to="{edge[1]}" speed="22" priority="{rank}"/>'
+        for edge, rank in (("am", 3), ("rm", 1), ("me", 3))
+    )
+    road = RoadMap.read(build(tmp_path, f"<nodes>{nodes}</nodes>", f"<edges>{edges}</edges>", name="ramp"))
+    ends_m = {name: road.lanes[name].length_m for name in ("am_0", "rm_0")}
+    cars = {
+        name: (road.lanes[lane], ends_m[lane] - 10.0, 15.0) for name, lane in zip("tr", ends_m, strict=True)
+    }
+    view = SituationView.of(road, scene_on(cars))
+    assert set(view.ways) == {0, 1}
+    assert accompanies(view, "right") == []
+
+
 @pytest.mark.parametrize(
     ("company", "stops"),
     [
@@ -98,6 +134,15 @@ def test_a_careful_driver_answers_the_stop(motorway: RoadMap) -> None:
     (chosen,) = rank(view, stops, {DOUBLE: 1.0})
     assert chosen.needed_mps2 == 5.0
     assert hides(view, chosen.manoeuvre)
+
+
+def test_the_leader_brakes_as_asked(motorway: RoadMap) -> None:
+    """Asked for 5 m/s², which is none of those that are tried."""
+    view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL, time_s=10.0)
+    since_s = dict.fromkeys(view.scene.history.ids, 0.0)
+    kept = Commitments({DOUBLE: 1.0}, intensity=Intensity(braking_mps2=5.0), since_s=since_s)
+    stops = [m for m in advance(view, kept, 1, 8.0)[0] if m.kind == DOUBLE]
+    assert [m.profile.then_mps2 for m in stops] == [-5.0]
 
 
 def test_who_falls_too_far_back_hides_nobody(motorway: RoadMap) -> None:
@@ -132,6 +177,19 @@ def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
     history = replace(view.scene.history, speed_mps=speed)
     braking = SituationView.of(motorway, replace(view.scene, history=history))
     assert accompanying(braking, ()) == []
+
+
+@pytest.mark.parametrize("sideways_mps", [1.0, -1.0])
+def test_nobody_hems_in_a_target_that_changes_lanes(sideways_mps: float, motorway: RoadMap) -> None:
+    """Who closes up on the lane that the target moves to would take the lawful gap from it."""
+    view = view_of(motorway, **TARGET, rear=(2, 75.0, 20.0))
+    assert [m.profile.first_mps2 > 0.0 for m in accompanying(view, ())] == [True]
+    history = view.scene.history
+    yaw, xy = history.yaw_rad[0, -1], history.xy_m.copy()
+    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    xy[0] += sideways_mps * history.dt_s * np.arange(-4.0, 1.0)[:, None] * left
+    changing = SituationView.of(motorway, replace(view.scene, history=replace(history, xy_m=xy)))
+    assert accompanying(changing, ()) == []
 
 
 def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: RoadMap) -> None:

@@ -44,7 +44,7 @@ def spacing_m(speed_mps: float) -> float:
 
 
 def places(view: SituationView) -> dict[str, tuple[float, ...]]:
-    """Return side → how far ahead of the target those are to drive that accompany it; "" is its own lane.
+    """Return side → metres ahead of the target at which those are to drive that accompany it; "" is its own lane.
 
     With a lane on either side nobody need follow; with none at all there is no company.
     """
@@ -76,7 +76,7 @@ def _joins(target: TargetWay, way: Way) -> bool:
 
 
 def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
-    """Yield (side, how far ahead of the target) for where those come in that it lacks, *least_m* away at least.
+    """Yield (side, metres ahead of the target) for where those come in that it lacks, *least_m* away at least.
 
     Who is to drive behind it on a lane beside comes in ahead and falls back, unless it may drive faster.
     """
@@ -139,7 +139,7 @@ def accompanies(view: SituationView, side: str) -> Sequence[int]:
 
 
 def _place(view: SituationView, row: int) -> tuple[float, float]:
-    """Return how far *row* is ahead of the target, and to its left."""
+    """Return how many metres *row* is ahead of the target, and to its left, along and across its heading."""
     now, target = view.scene.history, view.scene.target
     yaw = float(now.yaw_rad[target, -1])
     ahead, left = local_from_world(now.xy_m[row, -1], now.xy_m[target, -1], yaw)

@@ -46,7 +46,7 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "stop-and-go": ("stop-and-go", "brake"),
     "cut-out": ("cut-out", "any"),
     "queue": ("queue", "any"),
-    "oncoming": ("oncoming", "any"),
+    "oncoming": ("oncoming", "junction"),
     "double": ("double", "any"),
     "slow-merge": ("slow-merge", "any"),
     "pull-out": ("pull-out", "any"),

@@ -20,6 +20,7 @@ from advdiff_sumo.models.reward import load_reward, save_reward
 from advdiff_sumo.models.view import MOST_AGENTS, look
 from advdiff_sumo.traffic.background_plan import PlausiblePlan, plausible_plan
 from advdiff_sumo.traffic.diffusion import diffusion_policy
+from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionMemory, DiffusionTraffic
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
@@ -62,6 +63,10 @@ def test_it_keeps_the_contract(
 ) -> None:
     policy = make_policy("diffusion", {"weights": weights, **options})
     assert check_policy(policy, downtown, street(PLACES, SPEEDS), None) == []
+
+
+def test_the_guide_goes_for_crossings_where_oncoming_ones_are_asked_for() -> None:
+    assert DiffusionOptions(attack="oncoming").attack_term == DiffusionOptions(attack="crossing").attack_term
 
 
 def test_a_plan_is_six_seconds_of_every_movable_vehicle(

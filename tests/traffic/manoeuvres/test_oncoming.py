@@ -15,7 +15,8 @@ from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches, turning
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from tests.planners.encounters import Encounter, Scripted, bending, crossing, over
+from tests.planners.encounters import CROSSING, Encounter, Scripted, bending, crossing, over
+from tests.sim.nets import build
 
 LEFT, NORTH, STRAIGHT = ("west_in", "north_out"), ("south_in", "north_out"), ("west_in", "east_out")
 
@@ -53,6 +54,14 @@ def test_who_turns_left_meets_oncoming_traffic_alone(sign: RoadMap) -> None:
     assert met
     assert {one.way.present_lane.id for one in met} == {"east_in_0"}
     assert {one.way.links[0][1].direction for one in met} == {"s"}
+
+
+def test_where_traffic_keeps_left_who_turns_right_meets_it(folder: Path) -> None:
+    nodes, edges = CROSSING[0].format(kind="priority"), CROSSING[1]
+    road = RoadMap.read(build(folder, nodes, edges, name="left", lefthand=True))
+    met = list(approaches(before(road, ("west_in", "south_out")), True, None, True))
+    assert {one.way.present_lane.id for one in met} == {"east_in_0"}
+    assert not list(approaches(before(road, LEFT), True, None, True))
 
 
 @pytest.mark.parametrize("route", [NORTH, STRAIGHT])

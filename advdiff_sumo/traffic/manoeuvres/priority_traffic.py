@@ -74,13 +74,9 @@ def approaches(
         if not 0.0 < reach < REACH_M or not view.arrives_alone(reach):
             return
         red = view.is_red(link)
-        foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
-        if from_ahead_only:
-            foes = [one for one in foes if comes_from_ahead(view, link, one)]
-            foes = [one for one in foes if one.direction == "s"] or foes
         met = [
             (other, places)
-            for other in foes
+            for other in _foes(view, link, oncoming, from_ahead_only)
             if (places := meeting_m(view.road, link, other))
             and stops_m <= reach + _waits_m(view, link, other, places[0])
         ]
@@ -100,6 +96,15 @@ def approaches(
                 yield from _meeting(view, other, arrivals_s, places[1], pace, fastest_mps)
         if red:
             return
+
+
+def _foes(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
+    """Return the links whose traffic goes first where *link* meets them, those wanted most first."""
+    foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
+    if not from_ahead_only:
+        return foes
+    ahead = [one for one in foes if comes_from_ahead(view, link, one)]
+    return [one for one in ahead if one.direction == "s"] or ahead
 
 
 def _stops_m(target: TargetWay) -> float:

@@ -39,21 +39,22 @@ def demanded_braking(
     for k, manoeuvre in enumerate(manoeuvres):
         if manoeuvre.kind in SLOW_ENTRIES:
             gains = _gaining(view, target, float(asks_s[k]) + REACTION_S)
-            room_m = _room_m(view, manoeuvre) + futures.driven_m[k]
+            room_m = _gap_m(view, target, manoeuvre) - ROOM_M + futures.driven_m[k]
             matched = _to_match(gains, room_m, float(futures.speed_mps[k, -1]), float(asks_s[k]))
             needed[k] = max(needed[k], matched)
         if manoeuvre.kind in ENDS_STANDING and _stops(manoeuvre):
             stops_m = float(
                 futures.driven_m[k, -1] - 0.5 * futures.speed_mps[k, -1] ** 2 / manoeuvre.profile.then_mps2
             )
-            room_m = _room_m(view, manoeuvre) + stops_m
+            room_m = _gap_m(view, target, manoeuvre) + stops_m - ROOM_M
             needed[k] = max(needed[k], _to_stop_within(target, room_m, float(asks_s[k])))
     return needed
 
 
-def _room_m(view: SituationView, manoeuvre: Manoeuvre) -> float:
-    """Return the bumper gap along the target's way to who drives *manoeuvre*, less the room that is left."""
-    return view.gap_m(view.on_target_way[manoeuvre.row][0], manoeuvre.row, view.scene.target) - ROOM_M
+def _gap_m(view: SituationView, target: TargetWay, manoeuvre: Manoeuvre) -> float:
+    """Return the gap from the target's front to the rear of who drives *manoeuvre*; negative where it is no farther."""
+    between_m = 0.5 * float(view.size(manoeuvre.row)[0] + target.size_m[0])
+    return view.on_target_way[manoeuvre.row][0] - between_m
 
 
 def _obstacles(

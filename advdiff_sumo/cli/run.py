@@ -95,9 +95,9 @@ def run(
     folder = _continued_or_new(console, prepared, notes, out, begun)
     with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
-        stack.callback(_report, console, folder, not no_report, resume)
+        stack.callback(_draw, folder.path, not no_report)
         count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
-    _tell_outcome(console, folder, prepared, count, check, as_json)
+    _tell_outcome(console, folder, prepared, count, check, as_json, resume and no_report)
 
 
 def _continued_or_new(
@@ -150,12 +150,20 @@ def _to_go_on(folder: RunFolder) -> str | None:
 
 
 def _tell_outcome(
-    console: Console, folder: RunFolder, prepared: Run, count: int, check: bool, as_json: bool
+    console: Console,
+    folder: RunFolder,
+    prepared: Run,
+    count: int,
+    check: bool,
+    as_json: bool,
+    keeps_report: bool,
 ) -> None:
-    """Print what the *count* episodes came to; leave with 1 where every one failed."""
+    """Print what the *count* episodes came to, and that the report shows fewer; leave with 1 where all failed."""
     from advdiff_sumo.cli.check_run import print_check  # late: --help needs neither SUMO nor plots
-    from advdiff_sumo.cli.summary import print_summary, run_object
+    from advdiff_sumo.cli.summary import note_old_report, print_summary, run_object
 
+    if keeps_report:
+        note_old_report(console, folder.path)
     failures = folder.failures()
     print_summary(console, folder.path, prepared.options.episodes - count, failures)
     if check:
@@ -223,15 +231,13 @@ def _episodes(
         return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
 
 
-def _report(console: Console, folder: RunFolder, wanted: bool, resumed: bool) -> None:
-    """Draw the report if it is *wanted* and there are tables to draw; else say that a *resumed* run's is of before."""
-    from advdiff_sumo.cli.summary import note_old_report  # late, as above
-    from advdiff_sumo.report.page import write_report
+def _draw(folder: Path, wanted: bool) -> None:
+    """Draw the report if it is *wanted* and there are tables to draw."""
+    if not wanted or not (folder / "episodes.parquet").exists():
+        return
+    from advdiff_sumo.report.page import write_report  # late, as above
 
-    if wanted and (folder.path / "episodes.parquet").exists():
-        write_report(folder.path)
-    elif resumed and not wanted:
-        note_old_report(console, folder.path)
+    write_report(folder)
 
 
 def _begun(out: Path | None, resume: bool, retry_failed: bool) -> Path | None:

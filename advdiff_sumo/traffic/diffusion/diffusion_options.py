@@ -15,25 +15,11 @@ from advdiff_sumo.models.shipped_weights import ShippedName, find_weights
 from advdiff_sumo.models.stored import stored_format
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
+from advdiff_sumo.traffic.manoeuvres.repertoire import FurtherAttack
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
 Attack: TypeAlias = Literal[
-    "any",
-    "cut-in",
-    "rear-end",
-    "head-on",
-    "junction",
-    "brake",
-    "hard-stop",
-    "crossing",
-    "blocked-lane",
-    "stop-and-go",
-    "cut-out",
-    "queue",
-    "oncoming",
-    "double",
-    "slow-merge",
-    "pull-out",
+    "any", "cut-in", "rear-end", "head-on", "junction", "brake", "hard-stop", FurtherAttack
 ]
 LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "any": ("any", "any"),

@@ -24,6 +24,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     Intensity,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
+from advdiff_sumo.traffic.manoeuvres.repertoire import FurtherAttack
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
@@ -33,20 +34,7 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
-Kind: TypeAlias = Literal[
-    "any",
-    "hard-stop",
-    "cut-in",
-    "crossing",
-    "blocked-lane",
-    "stop-and-go",
-    "cut-out",
-    "queue",
-    "oncoming",
-    "double",
-    "slow-merge",
-    "pull-out",
-]
+Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", FurtherAttack]
 
 
 class ScriptedOptions(Options):

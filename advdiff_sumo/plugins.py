@@ -16,6 +16,7 @@ from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError, did_you_mean
 from advdiff_sumo.core.plug_in_source import raised_at
+from advdiff_sumo.core.wording import in_series
 
 _OF_A_SCRIPT = "; it was defined in a script or a notebook: put it into a module of its own"
 
@@ -146,7 +147,7 @@ def must_have(what: str, made: object, methods: Iterable[str]) -> None:
     """
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
-        raise ConfigError(f"{what} lacks {' and '.join(missing)}")
+        raise ConfigError(f"{what} lacks {in_series(missing)}")
 
 
 def _same(names: Iterable[str], name: str) -> str | None:

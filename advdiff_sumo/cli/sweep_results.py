@@ -15,6 +15,7 @@ from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.cli.terminal import counted, terminal
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
+from advdiff_sumo.core.wording import in_series
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
@@ -127,7 +128,7 @@ def _untested(condition: Condition, overall: Figures) -> str:
     if not lacking or condition.names & _OF_FAILURES:
         return ""
     return (
-        f"{' and '.join(lacking)}, which --fail-if {condition.text} does not ask about; "
+        f"{in_series(lacking)}, which --fail-if {condition.text} does not ask about; "
         'add "or failures > 0 or missing > 0"'
     )
 

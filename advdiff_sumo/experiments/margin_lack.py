@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.core.record import EndReason
+from advdiff_sumo.core.wording import in_series
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
@@ -38,7 +39,7 @@ def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
         states: of the episode.
     """
     reasons = [*_of_target(states), *_of_others(attack, states), *_of_time(row)]
-    return " and ".join(reasons) if reasons else "the record does not tell what was lacking"
+    return in_series(reasons) if reasons else "the record does not tell what was lacking"
 
 
 def _of_target(states: EpisodeStates) -> Iterator[str]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from advdiff_sumo.core.wording import in_series
 from advdiff_sumo.metrics.breaches import Breach
 from advdiff_sumo.metrics.encounter import LEAST_SPEED_MPS, Encounter
 from advdiff_sumo.metrics.fault import AtFault, Fault
@@ -63,7 +64,7 @@ def off_road_sentence() -> str:
 def _conduct(who: str, breaches: Sequence[Breach]) -> str:
     if not breaches:
         return f"{who} broke no rule"
-    return f"{who} {' and '.join(breach.text for breach in breaches)}"
+    return f"{who} {in_series([breach.text for breach in breaches])}"
 
 
 def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequence[str]) -> str:
@@ -73,7 +74,7 @@ def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequen
     braking = _braking(met, drive)
     if drive.model in preventable_by:
         return f"{who} {braking}{_outcome(drive)}"
-    others = f" ({' and '.join(preventable_by)} would not)" if preventable_by else ""
+    others = f" ({in_series(preventable_by)} would not)" if preventable_by else ""
     partner = drive.contact_with == met.other.name
     from_behind = partner and (met.target.face, met.other.face) == ("rear", "front")
     if from_behind or _stands_at_contact(drive):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from advdiff_sumo.core.wording import in_series
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
@@ -236,7 +237,7 @@ def _first_note(contest: Contest) -> str:
     first = contest.first
     if first is None:
         return f"{sentence}."
-    names = " and ".join(first.defects)
+    names = in_series(first.defects)
     return f"{sentence}; the first, {names}, after {first.scenes} scenes, {first.episodes} episodes."
 
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 from rich.progress import Progress as Bar
 
 from advdiff_sumo.cli.terminal import progress_bar, terminal
+from advdiff_sumo.core.wording import counted
 
 
 class NotebookProgress:
@@ -39,14 +40,14 @@ class NotebookProgress:
         self.hits += bool(row and row["target_collision"])
         if self._bar is not None:
             self._bar.update(
-                self._bar.task_ids[0], advance=1, description=f"episodes · {self.hits} collisions"
+                self._bar.task_ids[0], advance=1, description=f"episodes · {counted(self.hits, 'collision')}"
             )
         if self._html is not None:
             self._html.update(_html(self._line()))
 
     def _line(self) -> str:
         bar = f"<progress max='{self.total}' value='{self.done}'></progress>"
-        return f"{bar} {self.done} of {self.total} episodes · {self.hits} collisions"
+        return f"{bar} {self.done} of {self.total} episodes · {counted(self.hits, 'collision')}"
 
 
 def in_notebook() -> bool:

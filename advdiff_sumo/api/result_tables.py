@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from advdiff_sumo.api.episode_view import EpisodeView, framed
 from advdiff_sumo.core.errors import FileError, MissingExtraError
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.folder import FinishedRun
@@ -140,7 +141,7 @@ class Results:
         return (EpisodeView(self.finished, row) for row in self.finished.episodes)
 
     def __repr__(self) -> str:
-        return f"{self.folder}: {len(self)} episodes\n{self.summary()!r}"
+        return f"{self.folder}: {counted(len(self), 'episode')}\n{self.summary()!r}"
 
     def _repr_html_(self) -> str:
         worst = self.worst()._repr_html_() if len(self) else ""

@@ -225,19 +225,20 @@ def run_or_print(
     scenes, usual = _of_log(given.get("scenes"))
     request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})
     table = finished(Folder(path, request))
+    said: list[str] = []
     if table is None:
         check_request(request)
         folder = open_bench(path, request)
         with ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
             with Bars(console) as bars:
-                table = run_bench(folder, workers or cores(), limits, bars)
+                table, said = run_bench(folder, workers or cores(), limits, bars), bars.said
     if as_json:
         from advdiff_sumo.experiments.bench.defects_object import defects_object  # late, as above
 
         print_json(defects_object(path, table))
         return
-    print_table(console, table)
+    print_table(console, table, said)
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":
         files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from advdiff_sumo.core.record import Controller
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.plausibility import Implausibility, implausibilities
@@ -35,7 +36,7 @@ def print_check(console: Console, folder: Path, road: RoadMap) -> None:
     changed, plans = (int(np.nansum(rows[name].to_numpy())) for name in ("safeguarded_plans", "moved_plans"))
     if plans:
         console.print(
-            f"check: the safeguard changed what is driven next of {changed / plans:.1%} of {plans} plans"
+            f"check: the safeguard changed what is driven next of {changed / plans:.1%} of {counted(plans, 'plan')}"
         )
 
 

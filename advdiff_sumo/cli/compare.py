@@ -15,6 +15,7 @@ from rich.table import Table
 from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.run_flags import Json
 from advdiff_sumo.cli.terminal import print_json, terminal
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.paired import Comparison
@@ -86,7 +87,8 @@ def compare(
         console.print(met, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
     if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
-        words = f"note: {comparison.unpaired} episodes have no finished counterpart, which --fail-if does not ask about"
+        lacking = counted(comparison.unpaired, "episode")
+        words = f"note: {lacking} without a finished counterpart, which --fail-if does not ask about"
         terminal(stderr=True).print(f'{words}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
 
 
@@ -107,13 +109,14 @@ def _print(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> 
     _print_values(console, comparison)
     _print_alone(console, comparison, sides)
     if comparison.unpaired:
-        console.print(f"{comparison.unpaired} episodes have no finished counterpart")
+        console.print(f"{counted(comparison.unpaired, 'episode')} without a finished counterpart")
 
 
 def _print_rates(console: Console, comparison: Comparison) -> None:
     from advdiff_sumo.cli.sweep_results import rate_text
 
-    title = f"{comparison.pairs} pairs of episodes from {comparison.scenes} seed scenes; rates in %"
+    pairs, scenes = counted(comparison.pairs, "pair"), counted(comparison.scenes, "seed scene")
+    title = f"{pairs} of episodes from {scenes}; rates in %"
     heads = ("", "A", "B", "A only", "B only", "B − A, 95 % bootstrap", "McNemar p")
     table = FittedTable(title, heads)
     for name, rate in comparison.rates.items():

@@ -10,6 +10,7 @@ import typer
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.measured_conversion import MeasuredConversion
@@ -153,7 +154,7 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
         f"{result.net}: {lanes['edge_lanes']} lanes in {lanes['edges']} edges hold {lanes['held']} of "
         f"{lanes['given']} lanes and connectors of the file and {_links_held(links)}, "
         f"centre lines of these off by {error['median']} m (median), "
-        f"{error['max']} m (largest), {len(figures['netconvert_warnings'])} kinds of netconvert warnings"
+        f"{error['max']} m (largest), {counted(len(figures['netconvert_warnings']), 'kind')} of netconvert warnings"
     )
     if result.streets is not None:
         _say_streets(figures["streets_beyond_the_rim"], figures["routability"])
@@ -176,7 +177,7 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
 def _links_held(links: dict[str, Any]) -> str:
     """Return how many links a net holds; a file may state none, so that all are where lanes meet."""
     if not links["given"]:
-        return f"{links['repaired']} links where lanes meet (it states none)"
+        return f"{counted(links['repaired'], 'link')} where lanes meet (it states none)"
     return f"{links['kept']} of its {links['given']} links ({links['repaired']} repaired)"
 
 

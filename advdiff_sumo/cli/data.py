@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import counted, progress_bar, terminal
+from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.training_windows.log_windows import Built
@@ -176,13 +177,13 @@ def _is_window_file(out: Path) -> bool:
 
 def _print_counts(counts: Built) -> None:
     for path, count in counts.files.items():
-        _say.print(f"{path}: {count} windows")
+        _say.print(f"{path}: {counted(count, 'window')}")
     left_out: dict[str, list[str]] = {}
     for one in counts.skipped:
         left_out.setdefault(one.reason, []).append(one.drive)
     for reason, drives in left_out.items():
         names = ", ".join(drives[:_NAMED]) + (", …" if len(drives) > _NAMED else "")
-        _say.print(f"note: no windows of {len(drives)} drives ({names}): {reason}")
+        _say.print(f"note: no windows of {counted(len(drives), 'drive')} ({names}): {reason}")
 
 
 @data.command()

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from advdiff_sumo.cli.terminal import counted, findings_table, terminal
+from advdiff_sumo.cli.terminal import findings_table, terminal
+from advdiff_sumo.core.wording import counted
 
 _STYLES = {"ok": "green", "note": "yellow", "problem": "red"}
 UNUSABLE = 1

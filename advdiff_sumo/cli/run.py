@@ -28,6 +28,7 @@ from advdiff_sumo.cli.worker_flags import (
 from advdiff_sumo.config import read_toml, set_dotted
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -216,7 +217,7 @@ def _episodes(
             nonlocal hits, failed
             hits += bool(row and row["target_collision"])
             failed += failure is not None
-            words = f"episodes · {hits} collisions" + (f" · {failed} failed" if failed else "")
+            words = f"episodes · {counted(hits, 'collision')}" + (f" · {failed} failed" if failed else "")
             progress.update(task, advance=1, description=words)
             lacking = out_of_position(row or {})
             if row and lacking is not None:

@@ -10,6 +10,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.traffic.attack_names import KIND_NAMES, RECKLESS_ATTACKS
 
 Net: TypeAlias = Annotated[
     str | None,
@@ -87,9 +88,8 @@ Licence: TypeAlias = Annotated[
 Attack: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion and scripted: any, hard-stop, cut-in, crossing, blocked-lane, stop-and-go, cut-out, queue, "
-        "oncoming, double, slow-merge, pull-out; "
-        "with --licence reckless: any, cut-in, rear-end, head-on, junction, brake.",
+        help=f"diffusion and scripted: {', '.join(KIND_NAMES)}; "
+        f"with --licence reckless: {', '.join(RECKLESS_ATTACKS)}.",
         show_default="any",
     ),
 ]

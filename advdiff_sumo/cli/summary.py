@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import counted
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RunTables
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 

@@ -14,9 +14,10 @@ from advdiff_sumo.cli import worker_flags as worker
 from advdiff_sumo.cli.interruption import says_how_to_go_on
 from advdiff_sumo.cli.run import tell_changed_code
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
-from advdiff_sumo.cli.terminal import Bars, counted, print_json, terminal
+from advdiff_sumo.cli.terminal import Bars, print_json, terminal
 from advdiff_sumo.core.errors import ConfigError, FileError, UnknownNameError
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.executors import Executor
@@ -224,7 +225,7 @@ def _tell_estimate(
         expected = estimate(plan, todo.ahead(plan), executor)
     if expected is not None:
         console.print(
-            f"about {duration(expected.total_s(workers))} on {workers} workers with a core each: "
+            f"about {duration(expected.total_s(workers))} on {counted(workers, 'worker')} with a core each: "
             f"{expected.batches} × {expected.scene_s:.1f} s for seed scenes, "
             f"{expected.episodes} × {expected.episode_s:.1f} s for episodes (measured just now)",
             soft_wrap=True,

@@ -13,9 +13,9 @@ from rich.console import Console
 
 from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.summary import UNEXPLAINED
-from advdiff_sumo.cli.terminal import counted, terminal
+from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
-from advdiff_sumo.core.wording import in_series
+from advdiff_sumo.core.wording import counted, in_series
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolved
@@ -240,7 +240,7 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
             finding.type,
             finding.junction_type,
             _counts(finding.at_fault),
-            _counts(finding.targets),
+            _counts({name + _short(options): count for (name, options), count in finding.targets.items()}),
             str(finding.worst["key"]),
         )
     table.print(console)
@@ -278,7 +278,7 @@ def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) 
     attacks = [job_row(plan.jobs[0], options)["attack"] for options in plan.cells]
     tried = coverage(episodes, attacks, plan.junction_types)
     table = _table(
-        f"coverage: {100 * tried.share:.0f} % of {len(tried.cells)} combinations; collisions / episodes",
+        f"coverage: {100 * tried.share:.0f} % of {counted(len(tried.cells), 'combination')}; collisions / episodes",
         *("attack", "junction", *bands()),
     )
     for attack in tried.attacks:
@@ -296,7 +296,8 @@ def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
         return
     filled = sum(elite.valid > 0 for elite in cells.values())
     table = _table(
-        f"archive: encounters of {len(cells)} kinds, valid failures in {filled} of them; valid failures / episodes",
+        f"archive: encounters of {counted(len(cells), 'kind')}, valid failures in {filled} of them; "
+        "valid failures / episodes",
         *("attack", "the other comes", *MANOEUVRES),
     )
     for kind, approach in dict.fromkeys((cell.kind, cell.approach) for cell in cells):

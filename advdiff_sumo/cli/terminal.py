@@ -34,11 +34,6 @@ def terminal(**options: Any) -> Console:
     return console
 
 
-def counted(count: int, noun: str) -> str:
-    """Return *count* with *noun* in the singular or plural: "1 finding", "3 findings"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
 def progress_bar(console: Console, transient: bool = False) -> Progress:
     """Return a bar with counts and the time left, shown where a person looks; *transient*: it vanishes at the end."""
     from rich.progress import (  # late: --help
@@ -61,9 +56,14 @@ def progress_bar(console: Console, transient: bool = False) -> Progress:
 
 
 class Bars:
-    """One bar after the other."""
+    """One bar after the other.
+
+    Attributes:
+        said: the sentences that were printed above them.
+    """
 
     def __init__(self, console: Console) -> None:
+        self.said: list[str] = []
         self._bar = progress_bar(console)
         self._task: TaskID | None = None
         self._what = ""
@@ -88,6 +88,7 @@ class Bars:
 
     def say(self, sentence: str) -> None:
         """Print a sentence above the bars."""
+        self.said.append(sentence)
         self._bar.console.print(sentence, soft_wrap=True)
 
 

@@ -14,6 +14,7 @@ from advdiff_sumo.cli.train import claim
 from advdiff_sumo.cli.train_flags import Resume
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
@@ -103,4 +104,7 @@ def _described(history: list[Record]) -> str:
 def _say(console: Console, actor: Path, state: State) -> None:
     figures = [r["train"]["reward"] for r in state.history if "reward" in r["train"]]
     came = f": reward {figures[0]:.2f} → {figures[-1]:.2f} an episode" if len(figures) > 1 else ""
-    console.print(f"{actor}: {state.step} steps, {len(state.history)} updates{came}", soft_wrap=True)
+    console.print(
+        f"{actor}: {counted(state.step, 'step')}, {counted(len(state.history), 'update')}{came}",
+        soft_wrap=True,
+    )

@@ -10,9 +10,10 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.terminal import counted, print_json, progress_bar, terminal
+from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import cores
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.wording import counted
 
 
 def verdict(
@@ -84,7 +85,7 @@ def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> N
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
     collisions = f"{counted(len(hits), 'collision')} of the target: {counted(valid, 'valid failure')}"
     console.print(f"{counted(len(rows), 'episode')}, {collisions}")
-    console.print(f"{critical} critical near misses")
+    console.print(counted(critical, "critical near miss"))
     console.print(f"{counted(sum(map(broke_rule, rows)), 'episode')} in which the target broke a rule")
     if search:
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")

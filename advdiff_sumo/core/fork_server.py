@@ -1,7 +1,8 @@
 """Worker processes whose exit codes may be asked for by several threads; for systems that have a fork server.
 
 The fork server sends an exit code once. Where two threads ask for it at the same time, Python's own class lets the
-second one find nothing, and calls that exit code 255: a crash then passes for an end that the process chose.
+second one find nothing, and calls that exit code 255: a crash then passes for an end that the process chose. Where the
+fork server itself has died, nobody sends anything, and the same class says 255 of each of its processes.
 """
 
 from __future__ import annotations
@@ -10,8 +11,11 @@ import os
 import threading
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
+from multiprocessing.forkserver import read_signed
 from multiprocessing.popen_forkserver import Popen
 from typing import Any
+
+from advdiff_sumo.core.process_end import UNSEEN
 
 
 class _SharedPopen(Popen):
@@ -22,11 +26,19 @@ class _SharedPopen(Popen):
         super().__init__(process)
 
     def poll(self, flag: int = os.WNOHANG) -> int | None:
-        """Return the exit code, negative for a signal; None while it runs and *flag* says not to wait."""
+        """Return the exit code, negative for a signal; None while it runs and *flag* says not to wait.
+
+        ``UNSEEN`` where the fork server died first; a process that still runs then is to be given up.
+        """
         if self.returncode is None and not wait([self.sentinel], 0 if flag == os.WNOHANG else None):
             return None
         with self._asking:
-            return super().poll(flag)
+            if self.returncode is None:
+                try:
+                    self.returncode = read_signed(self.sentinel)
+                except (OSError, EOFError):
+                    self.returncode = UNSEEN
+            return self.returncode
 
 
 class SharedProcess(ForkServerProcess):

@@ -5,15 +5,17 @@ Episodes have executors of their own (``sweep.executors``), with time and memory
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from pebble import ProcessPool
 
 from advdiff_sumo.core.threads import one_thread_for_good
-from advdiff_sumo.core.worker_start import ignore_interrupts, worker_context
+from advdiff_sumo.core.worker_start import ignore_interrupts, keep_temporary_files_in, worker_context
 
 Key = TypeVar("Key")
 Task: TypeAlias = tuple[Callable[..., Any], *tuple[Any, ...]]
@@ -46,7 +48,10 @@ def futures_of(
         return
     needed = {function.__module__ for _, (function, *_) in first}
     context = worker_context(sorted(needed if prepare is None else needed | {prepare.__module__}))
-    with ProcessPool(len(first), initializer=_begin, initargs=(prepare,), context=context) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix="advdiff-", ignore_cleanup_errors=True) as folder,
+        ProcessPool(len(first), initializer=_begin, initargs=(prepare, folder), context=context) as pool,
+    ):
         try:
             waiting: dict[Future[Any], Key] = {
                 pool.schedule(function, args=given): key for key, (function, *given) in first
@@ -61,8 +66,9 @@ def futures_of(
             raise
 
 
-def _begin(prepare: Callable[[], None] | None) -> None:
+def _begin(prepare: Callable[[], None] | None, folder: str) -> None:
     ignore_interrupts()
+    keep_temporary_files_in(Path(folder))
     one_thread_for_good()
     if prepare is not None:
         prepare()

@@ -6,9 +6,12 @@ Python's own fork server, one for each command: PyTorch is imported once, not on
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import tempfile
 from collections.abc import Iterable
 from multiprocessing.context import BaseContext
+from pathlib import Path
 
 FORK_SERVER = "forkserver"
 
@@ -42,3 +45,11 @@ def ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # blocked since the server of workers was started
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def keep_temporary_files_in(folder: Path) -> None:
+    """Let temporary files of this process, and of the programs that it starts, lie in *folder*.
+
+    A worker that is ended or killed leaves them behind; its parent removes the folder.
+    """
+    tempfile.tempdir = os.environ["TMPDIR"] = str(folder)

@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.frames import local_from_world
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.encounter_outcomes import BegunEncounter, EncounterLog, outcomes
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.models.shipped_weights import shipped_weights
@@ -111,7 +112,9 @@ def meet(
         believed = prior.adapted(features, came) if learns and len(came) else prior
         idle = 0 if log.plans else idle + 1
         if idle >= _IDLE and record.failure is not None:
-            raise EpisodeFailure(f"{idle} episodes without a plan; the last one: {record.failure.message}")
+            raise EpisodeFailure(
+                f"{counted(idle, 'episode')} without a plan; the last one: {record.failure.message}"
+            )
         tell(min(made, plans))
         if made >= plans:
             break

@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import FileError, InputError
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import table_of
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
@@ -56,7 +57,8 @@ class FolderRows:
         """How many episodes are missing, and the command that runs them."""
         folder = shlex.quote(str(self.path))
         command = f"run --resume --out {folder}" if self.of_run else f"sweep --resume {folder}"
-        return f"{self.missing} episodes have not been run; advdiff-sumo {command} runs them"
+        lacking = f"{counted(self.missing, 'episode')} {'has' if self.missing == 1 else 'have'}"
+        return f"{lacking} not been run; advdiff-sumo {command} runs {'it' if self.missing == 1 else 'them'}"
 
     @property
     def timing(self) -> Rows:

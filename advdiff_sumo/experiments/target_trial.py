@@ -17,6 +17,7 @@ from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planners.hard_scenes import hard_scenes
@@ -225,7 +226,7 @@ def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: Mapping[s
     if not mine:
         stopped = {where for where, problem in problems if part in _NOT_REACHED.get(problem.part, ())}
         looked_at = len(scenes) - len(stopped & scenes.keys())
-        said = f"{looked_at} scenes" if looked_at else "not looked at, see above"
+        said = counted(looked_at, "scene") if looked_at else "not looked at, see above"
         return CheckResult(part.value, True if looked_at else None, said)
     where, first = mine[0]
     more = f"; {len(mine) - 1} more" if len(mine) > 1 else ""
@@ -236,7 +237,7 @@ def _drives(driven: Driven) -> list[CheckResult]:
     failed = [record.failure.message for record in driven.records if record.failure is not None]
     span = sum(record.tracks.dt_s * (record.tracks.steps - 1) for record in driven.records)
     ends = ", ".join(sorted({str(record.end) for record in driven.records}))
-    words = failed[0] if failed else f"{len(driven.records)} episodes, {span:.0f} s: {ends}"
+    words = failed[0] if failed else f"{counted(len(driven.records), 'episode')}, {span:.0f} s: {ends}"
     first, again = driven.records[0].tracks, driven.again.tracks
     same = first.ids == again.ids and all(
         getattr(first, part).tobytes() == getattr(again, part).tobytes()
@@ -250,5 +251,5 @@ def _in_time(plans_s: FloatArray, within_ms: float) -> CheckResult:
     if not len(plans_s):
         return CheckResult(IN_TIME, False, "no plan was made")
     median, late = 1e3 * np.median(plans_s), 1e3 * np.percentile(plans_s, 99)
-    words = f"median {median:.1f} ms, 99 % {late:.1f} ms, of {len(plans_s)} plans; {within_ms:g} ms allowed"
+    words = f"median {median:.1f} ms, 99 % {late:.1f} ms, of {counted(len(plans_s), 'plan')}; {within_ms:g} ms allowed"
     return CheckResult(IN_TIME, bool(median <= within_ms), words)

@@ -13,6 +13,7 @@ import torch
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.record import EpisodeRecord
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S
@@ -102,7 +103,7 @@ def warm_up(
         idle = 0 if fresh else idle + 1
         if idle >= _IDLE:
             raise EpisodeFailure(
-                f"{idle} episodes that nothing can be learned from; the last one: {_why(record)}"
+                f"{counted(idle, 'episode')} that nothing can be learned from; the last one: {_why(record)}"
             )
         for piece in _cut(fresh, len(stored), marks):
             stored += piece

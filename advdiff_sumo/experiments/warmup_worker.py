@@ -12,6 +12,7 @@ from statistics import fmean
 
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.plug_in_source import crashed_at
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.executors import call_in_worker
 from advdiff_sumo.sweep.tasks import WorkerLimits
@@ -107,10 +108,10 @@ def _learn_failures(options: RunOptions, steps: int, out: Path, tell: Tell) -> l
 
     done = warm_up_failures(options, steps, tell)
     save_failures(done.predictor, out, header(options, done))
-    met = f"{len(done.outcomes)} encounters, {done.failures} valid failures"
+    met = f"{counted(len(done.outcomes), 'encounter')}, {counted(done.failures, 'valid failure')}"
     likely = ", ".join(f"{kind} {share:.0%}" for kind, share in promises(done.predictor).items())
     return [
-        f"{done.plans} plans in {done.episodes} episodes, {met}",
+        f"{counted(done.plans, 'plan')} in {counted(done.episodes, 'episode')}, {met}",
         f"expected to fail in: {likely}",
         f"use it with run --background {options.background} --reward {out}",
     ]
@@ -124,7 +125,7 @@ def _refit_reward(options: RunOptions, steps: int, out: Path, tell: Tell) -> lis
     save_reward(done.reward, out, description(options, done))
     early, late = done.losses[: len(done.losses) // 2], done.losses[len(done.losses) // 2 :]
     return [
-        f"{done.steps} plans in {done.episodes} episodes, {done.contacts} collisions; "
+        f"{counted(done.steps, 'plan')} in {counted(done.episodes, 'episode')}, {counted(done.contacts, 'collision')}; "
         f"loss {fmean(early or late):.4f} → {fmean(late):.4f}",
         f"reward model: {out}  ·  use it with run --background diffusion --licence reckless --reward {out}",
     ]

@@ -13,6 +13,7 @@ from advdiff_sumo.core.arrays import FloatArray
 #: Percentiles between which an interval of the bootstrap lies: 95 %.
 TAILS = (2.5, 97.5)
 _AT_ONCE = 250
+_NO_WIDTH = 1e-9  # what rounding leaves of it
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,23 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     middle = (share + 0.5 * z**2 / total) / (1.0 + z**2 / total)
     half = z * (share * (1.0 - share) / total + 0.25 * (z / total) ** 2) ** 0.5 / (1.0 + z**2 / total)
     return max(middle - half, 0.0) if count else 0.0, min(middle + half, 1.0) if count < total else 1.0
+
+
+def spread(low: float, high: float, trials: int) -> tuple[float, float]:
+    """Return the bootstrap's interval of a paired difference of rates, or a wider one where it has no width.
+
+    Pairs that all differ alike, such as those without a discordant one, show no spread when they are drawn again. That
+    none of so many is otherwise says that up to Wilson's bound for none may be, and the difference lies within that.
+
+    Args:
+        low: lower end.
+        high: upper end.
+        trials: pairs, or the trials of the rate that has fewer.
+    """
+    if high - low > _NO_WIDTH:
+        return low, high
+    most = wilson(0, trials)[1]
+    return max(low - most, -1.0), min(high + most, 1.0)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.weights_formats import of_another_format
 from advdiff_sumo.core.whole_file import whole_file
 
 if TYPE_CHECKING:  # who stores arrays alone need not wait for PyTorch
@@ -58,7 +59,7 @@ def read_stored(
     except (SafetensorError, OSError) as error:
         raise WeightsError(path, f"cannot be read ({error})", remedy) from None
     if header.get("format") != kind:
-        raise WeightsError(path, f"is not of the format {kind}", remedy)
+        raise of_another_format(path, kind, str(header.get("format")), remedy)
     return header, tensors
 
 

@@ -22,6 +22,7 @@ from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.world import World
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Background:
         step_s: SUMO's step.
         name: for messages.
         heartbeat: of the episode.
-        planning_s: wall-clock seconds of each plan.
+        planning_s: wall-clock seconds of each plan; none where SUMO drives everybody.
         skipped: ids that a log would have moved but that SUMO has elsewhere by now.
         planned: the last plan that was not refused.
         attack: kind of attack that the policy was asked for; None where it attacks nobody.
@@ -131,7 +132,8 @@ class Background:
 
     def _plan(self, scene: Scene, steps: int) -> MovedMotion:
         plan, took_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
-        self.planning_s.append(took_s)
+        if type(self.source.policy) is not SumoTraffic:  # which plans nothing
+            self.planning_s.append(took_s)
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
         self.safeguarded = (

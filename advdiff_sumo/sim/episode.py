@@ -33,7 +33,7 @@ class Timing:
         wall_s: whole episode, the start included.
         cpu_s: processor time of the same, SUMO's included.
         target_plans_s: each plan of a Python planner.
-        background_plans_s: each plan of the policy.
+        background_plans_s: each plan of the policy; none where SUMO drives everybody.
     """
 
     wall_s: float

@@ -18,6 +18,7 @@ from advdiff_sumo.config import Options, OwnOptions, Seed
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError, NetError
 from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
@@ -231,7 +232,7 @@ def left_out(
     standing, least = logged.standing_starts(), options.scene.min_speed_mps
     if standing:
         where = f"its ego is slower than {least:g} m/s there"
-        sentences.append(f"{standing} starts of the log passed over, {where} ({options.scenes})")
+        sentences.append(f"{counted(standing, 'start')} of the log passed over, {where} ({options.scenes})")
     return sentences
 
 

@@ -35,7 +35,7 @@ class Finding:
         worst: row of the worst of them, which stands for all.
         valid: how many of them are valid failures.
         at_fault: how many by who caused it.
-        targets: how many by target.
+        targets: how many by target and its options as JSON.
     """
 
     type: str
@@ -44,7 +44,7 @@ class Finding:
     worst: Row
     valid: int
     at_fault: Mapping[str, int]
-    targets: Mapping[str, int]
+    targets: Mapping[tuple[str, str], int]
 
 
 def findings(episodes: Sequence[Row]) -> list[Finding]:
@@ -72,7 +72,9 @@ def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:
         worst=members[0],
         valid=sum(map(is_valid_failure, members)),
         at_fault=dict(sorted(Counter(str(row["at_fault"]) for row in members).items())),
-        targets=dict(sorted(Counter(str(row["target"]) for row in members).items())),
+        targets=dict(
+            sorted(Counter((str(row["target"]), str(row["target_options"])) for row in members).items())
+        ),
     )
 
 

@@ -1,4 +1,4 @@
-"""Two sweeps over the same seed scenes, episode by episode."""
+"""Two runs or sweeps over the same seed scenes, episode by episode."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.metrics.severity import has_outcome
-from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar
+from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar, spread
 from advdiff_sumo.sweep.summary_stats import EVENTS, Row
 
 _KIND = ("target", "target_options", "background", "background_options")
@@ -31,14 +31,15 @@ class RateChange:
     """How a rate differs between the two.
 
     Attributes:
-        a: in the first sweep's episodes of the pairs.
+        a: in the first's episodes of the pairs.
         b: in the second's.
         only_a: pairs in which it happened in the first alone.
         only_b: in the second alone.
-        low: lower end of the 95 % bootstrap interval of the difference b − a.
+        low: lower end of the 95 % bootstrap interval of the difference b − a; where all pairs differ alike see
+            :func:`~advdiff_sumo.metrics.statistics.spread`.
         high: upper end.
         p: exact McNemar test, two-sided (doi:10.1007/BF02295996); 1 without discordant pairs.
-        episodes_a: numbers of the first sweep's episodes of *only_a*.
+        episodes_a: numbers of the first's episodes of *only_a*.
         episodes_b: numbers of the second's of *only_b*.
     """
 
@@ -77,12 +78,12 @@ class ValueChange:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sweeps, paired.
+    """Two runs or sweeps, paired.
 
     Attributes:
         pairs: episodes with an outcome in both: finished, or failed after a contact of the target.
         scenes: seed scenes among them; the bootstrap draws these.
-        unpaired: episodes of either sweep without a counterpart that has an outcome.
+        unpaired: episodes of either without a counterpart that has an outcome.
         rates: by name.
         values: by column; those without a pair are left out.
     """
@@ -122,17 +123,17 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
         values = {str(row[column]) for row in chosen}
         chosen = [row for row in chosen if str(row[column]) == value]
         if values and not chosen:
-            problem = "no episode of that sweep is so"
+            problem = "none of its episodes is so"
             raise ConfigError(f"{what} {condition}: {problem}; {did_you_mean(value, values)}")
     if not rows:
         raise ConfigError(f"the {_ORDER[what]} has no episode with results; its failures say why")
     if not chosen:
-        raise ConfigError(f"{what} {' '.join(conditions)}: no episode of that sweep is so")
+        raise ConfigError(f"{what} {' '.join(conditions)}: none of its episodes is so")
     return chosen
 
 
 def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Comparison:
-    """Pair the episodes with an outcome of two sweeps by seed scene, and by what else both vary.
+    """Pair the episodes with an outcome of two runs or sweeps by seed scene, and by what else both vary.
 
     Args:
         first: rows of ``episodes`` of the one.
@@ -147,11 +148,11 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
     keys = [key for key in a if key in b]
     if not keys:
         raise ConfigError(
-            "the two sweeps share no seed scene; compare sweeps of the same nets, seeds, horizon_s, sim and scene"
+            "the two share no seed scene; compare runs or sweeps of the same nets, seeds, horizon_s, sim and scene"
         )
     counted = [key for key in keys if has_outcome(a[key]) and has_outcome(b[key])]
     if not counted:
-        raise ConfigError("no seed scene was finished in both sweeps")
+        raise ConfigError("no seed scene was finished in both")
     pairs = [(a[key], b[key]) for key in counted]
     draw = _Draws([key[0] for key in counted], seed)
     return Comparison(
@@ -168,7 +169,7 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
 
 
 def _shared(first: Sequence[Row], second: Sequence[Row]) -> list[str]:
-    """Return the columns that tell episodes of a scene apart in the same way in both sweeps."""
+    """Return the columns that tell episodes of a scene apart in the same way in both."""
     groups = (_KIND[:2], _KIND[2:])
     shared: list[str] = []
     for group in groups:
@@ -228,7 +229,7 @@ def _rate(pairs: Sequence[tuple[Row, Row]], draw: _Draws, happened: Callable[[Ro
     flags = np.array([[happened(a), happened(b)] for a, b in pairs], dtype=np.float64)
     both = Counter((bool(a), bool(b)) for a, b in flags)
     only_a, only_b = both[(True, False)], both[(False, True)]
-    low, high = draw.interval(flags[:, 1] - flags[:, 0], range(len(pairs)))
+    low, high = spread(*draw.interval(flags[:, 1] - flags[:, 0], range(len(pairs))), draw.scenes)
     n = len(pairs)
     a, b = (Rate.of(int(flags[:, side].sum()), n) for side in (0, 1))
     alone = [

@@ -17,6 +17,7 @@ import tomli_w
 
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.whole_file import ASIDE
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
 from advdiff_sumo.metrics.arrow_tables import schema_of, table_of
 from advdiff_sumo.sim.run_store import LATER_TABLES, TABLES
@@ -112,7 +113,7 @@ class RunFolder:
         had = max(self.done() or self._in_tables(), default=-1) + 1
         if had > new["episodes"]:
             raise ConfigError(
-                f"{self.path}: that run has {had} episodes; ask for as many, or choose a new --out"
+                f"{self.path}: that run has {counted(had, 'episode')}; ask for as many, or choose a new --out"
             )
         must_have_inputs(self.path, begun, settings.get("run", {}).get("inputs"), "choose a new --out")
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from advdiff_sumo.core.errors import FileError, InputError, SceneError
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED
 from advdiff_sumo.sweep.executors import Executor
@@ -193,7 +194,7 @@ class Scheduler:
             job, scenes = self._short.popleft()
             if self.refuses:
                 continue  # there are as many episodes as the log has scenes
-            message = f"the log has {scenes} seed scenes, this is number {job.place + 1}"
+            message = f"the log has {counted(scenes, 'seed scene')}, this is number {job.place + 1}"
             self._record(job, Outcome(job.key, (), Failed("no_scene", message)))
 
     def _record(self, job: Job, outcome: Outcome) -> None:
@@ -235,6 +236,6 @@ class Scheduler:
         kept = "all that had finished is stored" if not lost else f"{lost} that had finished did not fit"
         return FileError(
             self.store.path,
-            f"the disk is full with {left} episodes left to do; {kept}",
+            f"the disk is full with {counted(left, 'episode')} left to do; {kept}",
             "free some space and go on with --resume",
         )

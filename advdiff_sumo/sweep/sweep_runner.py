@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.plug_in_source import code_digests
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.sim.run_episodes import versions
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
@@ -74,7 +75,7 @@ class EpisodeCount:
         """Count one episode."""
         self._hits += bool(row and row["target_collision"])
         self._failed += failed is not None
-        self._step(f"{self._hits} collisions · {self._failed} failed")
+        self._step(f"{counted(self._hits, 'collision')} · {self._failed} failed")
 
 
 def settings_of(plan: SweepPlan) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import math
 import os
 import re
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,15 +20,16 @@ from typing import IO
 import pyarrow as pa
 
 from advdiff_sumo.core.plug_in_source import crashed_at
+from advdiff_sumo.core.process_end import UNSEEN
 from advdiff_sumo.core.threads import one_thread_for_good
-from advdiff_sumo.core.worker_start import ignore_interrupts
+from advdiff_sumo.core.worker_start import ignore_interrupts, keep_temporary_files_in
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, ProcessPhase
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
 #: Exit code of a worker that makes room for a fresh one.
 RECYCLED = 75
-_FROM_OUTSIDE = {-9, -15}  # SIGKILL, as of the system where memory runs out, and SIGTERM
+_FROM_OUTSIDE = {-9, -15, UNSEEN}  # SIGKILL, as of the system where memory runs out, and SIGTERM
 _TIMED_OUT, _CRASHED, _MODULES = (
     re.compile(r"^Timeout \(\d+:\d\d:\d\d", re.MULTILINE),
     "Fatal Python error",
@@ -48,7 +48,7 @@ def prepare_worker(limits: WorkerLimits) -> None:
     """
     ignore_interrupts()
     bound_memory(limits.memory_mb)
-    tempfile.tempdir = os.environ["TMPDIR"] = str(limits.logs)
+    keep_temporary_files_in(limits.logs)
     if limits.log_level < logging.WARNING:
         logging.basicConfig(format="%(name)s: %(message)s")
         logging.getLogger("advdiff_sumo").setLevel(limits.log_level)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from rich.console import Console
 
-from advdiff_sumo.cli.sweep_results import print_worst
+from advdiff_sumo.cli.sweep_results import _print_findings, print_worst
+from advdiff_sumo.sweep.findings import findings
 
 
 def test_targets_that_differ_by_their_options_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
@@ -19,3 +20,25 @@ def test_targets_that_differ_by_their_options_are_told_apart(capsys: pytest.Capt
         if "a1" in line
     ]
     assert cells == [["my:P defects:[late:strong]", "replay max_gap_s:2.0"], ["my:P", "replay max_gap_s:2.0"]]
+
+
+def test_configurations_of_one_planner_are_targets_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    places = {f"{what}_{way}_m": 1.0 for what in ("impact", "approach") for way in ("ahead", "left")}
+    row = {
+        **places,
+        "target": "my:P",
+        "target_speed_mps": 8.0,
+        "partner_speed_mps": 5.0,
+        "approach_yaw_rad": 0.0,
+    }
+    row |= {
+        "collision_type": "cut_in",
+        "junction_type": "road",
+        "at_fault": "target",
+        "target_collision": True,
+    }
+    row |= {"valid_failure": True, "end": "collision", "impact_speed_mps": 3.0, "closing_speed_mps": 3.0}
+    options = ("{}", '{"defects":["late:strong"]}', "{}")
+    rows = [{**row, "target_options": given, "episode": k, "key": f"a{k}"} for k, given in enumerate(options)]
+    _print_findings(Console(width=200, markup=False), findings(rows))
+    assert "my:P defects:[late:strong] 1, my:P 2" in capsys.readouterr().out

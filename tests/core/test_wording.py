@@ -1,8 +1,23 @@
-"""Words in a row."""
+"""Sentences out of parts."""
+
+from __future__ import annotations
 
 import pytest
 
-from advdiff_sumo.core.wording import in_series
+from advdiff_sumo.core.wording import counted, in_series
+
+
+@pytest.mark.parametrize(
+    ("count", "noun", "words"),
+    [
+        (1, "finding", "1 finding"),
+        (0, "finding", "0 findings"),
+        (1, "critical near miss", "1 critical near miss"),
+        (3, "critical near miss", "3 critical near misses"),
+    ],
+)
+def test_a_noun_goes_with_its_count(count: int, noun: str, words: str) -> None:
+    assert counted(count, noun) == words
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
 def test_it_leaves_an_actor_and_its_curve(trained: tuple[Path, Outcome]) -> None:
     folder, done = trained
     assert done.code == 0, done.err
-    assert "rl/actor.safetensors: 4 steps, 1 updates" in done.err
+    assert "rl/actor.safetensors: 4 steps, 1 update" in done.err
     files = {path.name for path in (folder / "rl").iterdir()} - {"events"}
     assert files == {"actor.safetensors", "checkpoint.safetensors", "metrics.jsonl", "curves.png"}
 

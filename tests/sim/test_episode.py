@@ -60,6 +60,7 @@ def test_a_sumo_driver_reports_what_it_sees_and_a_planner_does_not(scene: SeedSc
     record, timing = episode(scene, road, target="lane_graph", horizon_s=1.0).run()
     assert record.visible is None
     assert len(timing.target_plans_s) == 2
+    assert timing.background_plans_s == ()  # SUMO drives, nobody plans
 
 
 def test_signals_are_those_of_the_episodes_own_net(scene: SeedScene, road: RoadMap, networks: Path) -> None:

@@ -201,6 +201,15 @@ def test_pairs_are_tested_after_mcnemar() -> None:
     assert named["collision_rate_change"] == pytest.approx(-6 / 30)
 
 
+def test_pairs_without_a_discordant_one_leave_the_difference_open() -> None:
+    """None of thirty scenes: z² / (30 + z²) = 0.1135."""
+    change = compare([hit(k) for k in range(30)], [hit(k, target="ACC") for k in range(30)]).rates[
+        "collisions"
+    ]
+    assert (change.change, change.p) == (0.0, 1.0)
+    assert (change.low, change.high) == pytest.approx((-0.1135, 0.1135), abs=1e-4)
+
+
 def test_values_are_compared_where_both_have_them() -> None:
     first = [row(k, min_ttc_s=3.0) for k in range(10)]
     second = [row(k, target="ACC", min_ttc_s=None if k == 0 else 4.0) for k in range(10)]
@@ -225,7 +234,8 @@ def test_two_targets_in_both_sweeps_are_paired_each_with_itself() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [
-        ([row(0)], [row(1)], "share no seed scene"),
+        ([row(0)], [row(1)], "^the two share no seed scene; compare runs or sweeps of the same nets"),
+        ([row(0)], [row(0, target="ACC", end="failed")], "^no seed scene was finished in both$"),
         (
             [row(0), row(1, scene_key="scene0", target="ACC")],
             [row(0)],
@@ -248,11 +258,9 @@ def test_rows_are_chosen_by_column() -> None:
     assert [r["episode"] for r in choose(rows, ["target=ACC", "number=7"], "--a")] == [2]
     with pytest.raises(ConfigError, match="did you mean 'target'"):
         choose(rows, ["tarket=ACC"], "--a")
-    with pytest.raises(ConfigError, match="no episode of that sweep is so"):
+    with pytest.raises(ConfigError, match="none of its episodes is so"):
         choose(rows, ["target=W99"], "--a")
-    with pytest.raises(
-        ConfigError, match="--a target=AC: no episode of that sweep is so; did you mean 'ACC'"
-    ):
+    with pytest.raises(ConfigError, match="--a target=AC: none of its episodes is so; did you mean 'ACC'"):
         choose(rows, ["number=7", "target=AC"], "--a")
     with pytest.raises(ConfigError, match="--a ACC: expected COLUMN=VALUE; did you mean target=ACC"):
         choose(rows, ["ACC"], "--a")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import (
     NATURAL,
@@ -74,9 +75,8 @@ def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> T
         rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, ours))
     lines = lines_of(HEADS, rows, paper_table("adversarial"))
     heads = tuple(head for head in HEADS if any(head.key in line.cells for line in lines))
-    title = (
-        f"Adversarial traffic, closed loop: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
-    )
+    starts = counted(len(scenes.scenes), "seed scene")
+    title = f"Adversarial traffic, closed loop: {starts}, {folder.request.horizon_s:g} s"
     return Table(
         "adversarial", title, heads, lines, gaps_of(heads, rows), notes_of(results, scenes, folder, NOTES)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from advdiff_sumo.core.wording import in_series
+from advdiff_sumo.core.wording import counted, in_series
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
@@ -121,7 +121,7 @@ def defects_table(
         if defects:
             lines.append(_score_line(target, here))
     scenes = cells.scenes
-    title = f"Planted defects: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    title = f"Planted defects: {counted(len(scenes.scenes), 'seed scene')}, {folder.request.horizon_s:g} s"
     firsts = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
     planted = {one.target: len(one.detections) for one in contests}
     lacking = (too_few(len(scenes.scenes), target, count) for target, count in planted.items())
@@ -238,7 +238,8 @@ def _first_note(contest: Contest) -> str:
     if first is None:
         return f"{sentence}."
     names = in_series(first.defects)
-    return f"{sentence}; the first, {names}, after {first.scenes} scenes, {first.episodes} episodes."
+    tried = f"{counted(first.scenes, 'scene')}, {counted(first.episodes, 'episode')}"
+    return f"{sentence}; the first, {names}, after {tried}."
 
 
 def _source_note(folder: Folder) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes
@@ -22,7 +23,7 @@ from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Esti
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
-from advdiff_sumo.metrics.statistics import wilson
+from advdiff_sumo.metrics.statistics import TAILS, spread, wilson
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
@@ -149,8 +150,8 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
         for head, after in zip(heads[1:], one[1:], strict=True)
     )
     title = (
-        f"Few-shot: collision rate after warm-up, {request.seeds} warm-ups, "
-        f"{len(scenes.scenes)} seed scenes, {request.horizon_s:g} s"
+        f"Few-shot: collision rate after warm-up, {counted(request.seeds, 'warm-up')}, "
+        f"{counted(len(scenes.scenes), 'seed scene')}, {request.horizon_s:g} s"
     )
     does = REFITTED if refits_q(request) else LEARNT
     notes = notes_of(gathered, scenes, folder, tuple(note.format(does=does) for note in NOTES))
@@ -195,7 +196,7 @@ class Pooled:
         if value in (0.0, 1.0):  # drawing them again would show no spread
             low, high = wilson(round(value) * scenes, scenes)
         else:
-            low, high = np.percentile(self.at(*_draws(self.hits.shape)), (2.5, 97.5))
+            low, high = np.percentile(self.at(*_draws(self.hits.shape)), TAILS)
         return Estimate(value, float(low), float(high), self.targets * self.hits.size)
 
     def less(self, before: Pooled) -> Difference:
@@ -208,8 +209,9 @@ class Pooled:
         old = before._rows(np.array([place[self.scenes[k]] for k in rows]))
         warm_ups, scenes = _draws(own.hits.shape)
         ones = np.ones((len(scenes), len(old.hits)))
-        low, high = np.percentile(own.at(warm_ups, scenes) - old.at(ones, scenes), (2.5, 97.5))
-        return Difference(float(own.hits.mean() - old.hits.mean()), float(low), float(high), None, len(rows))
+        drawn = np.percentile(own.at(warm_ups, scenes) - old.at(ones, scenes), TAILS)
+        low, high = spread(float(drawn[0]), float(drawn[1]), len(rows))
+        return Difference(float(own.hits.mean() - old.hits.mean()), low, high, None, len(rows))
 
     def _rows(self, rows: IntArray) -> Pooled:
         return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows], self.targets)

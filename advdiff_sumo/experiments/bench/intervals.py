@@ -13,7 +13,14 @@ from typing import Protocol
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.metrics.statistics import TAILS, bootstrap_counts, jensen_shannon, mcnemar, wilson
+from advdiff_sumo.metrics.statistics import (
+    TAILS,
+    bootstrap_counts,
+    jensen_shannon,
+    mcnemar,
+    spread,
+    wilson,
+)
 
 RESAMPLES = 4000
 
@@ -41,7 +48,7 @@ class Difference:
 
     Attributes:
         value: the difference; None where one of them is undefined.
-        low: lower end of its 95 % bootstrap interval.
+        low: lower end of its 95 % bootstrap interval; of rates that all pairs differ by as much in, see ``spread``.
         high: upper end.
         p: exact McNemar test, two-sided (doi:10.1007/BF02295996); None for what is no rate of episodes.
         scenes: how many both have.
@@ -181,6 +188,8 @@ def difference(sample: Sample, other: Sample) -> Difference:
         return Difference(scenes=len(a.scenes))
     times = draws(len(a.scenes))
     low, high = _percentiles(_centred(a, a.at(times) - b.at(times), value))
+    if low is not None and high is not None and _is_rate(a) and _is_rate(b):
+        low, high = spread(low, high, min(a.n, b.n))
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
 
@@ -211,6 +220,10 @@ def _mcnemar_of(a: Sample, b: Sample) -> float | None:
     return mcnemar(
         int(((first == 1.0) & (second == 0.0)).sum()), int(((first == 0.0) & (second == 1.0)).sum())
     )
+
+
+def _is_rate(sample: Sample) -> bool:
+    return isinstance(sample, Ratio) and sample.rate
 
 
 def _one(sample: Sample) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -13,15 +15,15 @@ _WIDEST = 250
 _NARROW_COLUMNS = 5
 
 
-def print_table(console: Console, table: Table) -> None:
-    """Print *table*, its differences and its notes."""
+def print_table(console: Console, table: Table, said: Collection[str] = ()) -> None:
+    """Print *table*, its differences and its notes but for those that have been *said* just now."""
     before = console.width
     console.width = max(before, _width(table))
     console.print(rich_table(table))
     if table.gaps:
         console.print(gap_table(table))
     console.width = before
-    for note in table.notes:
+    for note in (note for note in table.notes if note not in said):
         console.print(note, style="dim", soft_wrap=True)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.adversarial import ATTACKED, adversarial_table, plan_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
@@ -124,11 +125,14 @@ def _foretell(
     """Say how many episodes there are, and how long those that are left will take."""
     store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None
     todo = RemainingJobs.of(cells.plan, store)
-    teller.say(f"{len(cells.plan.jobs)} episodes in {len(cells.cells)} cells; {len(todo.jobs)} to do")
+    teller.say(
+        f"{counted(len(cells.plan.jobs), 'episode')} in {counted(len(cells.cells), 'cell')}; {len(todo.jobs)} to do"
+    )
     expected = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
     if expected is not None:
         each = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in expected.by_background.items())
         minutes = expected.total_s(workers) / 60.0
         teller.say(
-            f"about {minutes:.0f} min on {workers} workers with a core each; an episode of {each} (measured now)"
+            f"about {minutes:.0f} min on {counted(workers, 'worker')} with a core each; "
+            f"an episode of {each} (measured now)"
         )

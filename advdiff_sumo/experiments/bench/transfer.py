@@ -9,6 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt, surrogate_options
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
@@ -104,7 +105,7 @@ def transfer_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tab
         title = policy_row(name).title.removesuffix(" (ours)")
         rows.append(RowSamples(key, "", f"{title} ← {TARGET_TITLES.get(source, source)}", samples))
     lines = lines_of(heads, rows, paper_table("transfer"))
-    title = f"Transfer to other planners: {len(scenes.scenes)} seed scenes, {folder.request.horizon_s:g} s"
+    title = f"Transfer to other planners: {counted(len(scenes.scenes), 'seed scene')}, {folder.request.horizon_s:g} s"
     ours = REFITTED if refits_q(folder.request) else LEARNT
     usual = (*kept_shares(rows), *(note.format(ours=ours) for note in NOTES))
     notes = notes_of(gathered, scenes, folder, usual)

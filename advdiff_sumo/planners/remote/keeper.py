@@ -2,7 +2,8 @@
 
 Started as a script, in an interpreter without any package: the process that holds the other end of the pipe may die in
 any way, and nothing of the command stays behind; without ``/proc`` nothing of its process group. The last line on
-standard output is the command's exit code, negative for a signal.
+standard output is the command's exit code, negative for a signal. Whoever dies cannot clean up: a folder that is named
+before the command, ``--folder=PATH``, goes once the input is closed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import sys
 import time
 from pathlib import Path
 
+FOLDER = "--folder="
 _PR_SET_CHILD_SUBREAPER = 36
 _GRACE_S, _POLL_S, _WATCH_S = 0.5, 0.01, 0.05
 PROC = Path("/proc")
@@ -25,12 +27,24 @@ _THREADS = 20 - 3
 
 
 def main() -> None:
-    """Run ``sys.argv[1:]``."""
+    """Run ``sys.argv[1:]``, the folder left out."""
+    words = sys.argv[1:]
+    folder = words.pop(0).removeprefix(FOLDER) if words[0].startswith(FOLDER) else ""
+    code = _run(words)
+    if folder and _nobody_listens():
+        import shutil  # late: the command need not wait for it
+
+        shutil.rmtree(folder, ignore_errors=True)
+    sys.stdout.write(f"{code}\n")
+
+
+def _run(words: list[str]) -> int:
+    """Run the command *words* and return its exit code."""
     adopt_orphans()
     lists_processes = (PROC / "self" / "stat").exists()
     try:
         with subprocess.Popen(
-            sys.argv[1:],
+            words,
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr,
             start_new_session=not lists_processes,
@@ -40,18 +54,17 @@ def main() -> None:
                 end_descendants()
             else:
                 end_group(command)
-            code = command.wait()
+            return command.wait()
     except OSError as error:
-        sys.stderr.write(f"{sys.argv[1]}: {error.strerror}\n")
-        code = 127
-    sys.stdout.write(f"{code}\n")
+        sys.stderr.write(f"{words[0]}: {error.strerror}\n")
+        return 127
 
 
 def _wait(command: subprocess.Popen[bytes]) -> None:
     """Return when *command* ends, or when nobody holds the other end of standard input any more."""
     ended = _pidfd(command.pid)
     if ended is None:
-        while command.poll() is None and not select.select([0], [], [], _WATCH_S)[0]:
+        while command.poll() is None and not _nobody_listens(_WATCH_S):
             pass
         return
     poll = select.poll()
@@ -59,6 +72,11 @@ def _wait(command: subprocess.Popen[bytes]) -> None:
     poll.register(0, select.POLLIN | select.POLLHUP)
     poll.poll()
     os.close(ended)
+
+
+def _nobody_listens(within_s: float = 0.0) -> bool:
+    """Return whether the other end of standard input is closed, or gets closed *within_s*."""
+    return bool(select.select([0], [], [], within_s)[0])
 
 
 def _pidfd(pid: int) -> int | None:

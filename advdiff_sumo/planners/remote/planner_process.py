@@ -52,22 +52,30 @@ class PlannerProcess:
         Raises:
             ConfigError: it cannot be split into words.
         """
-        self.who = who
+        self.who, words = who, split_command(command)
         self._folder = _socket_folder()
         self._socket, self._log = self._folder / "socket", self._folder / "log"
         self.address = f"unix:{self._socket}"
-        words = [word.replace(ADDRESS_FIELD, self.address) for word in split_command(command)]
+        words = [word.replace(ADDRESS_FIELD, self.address) for word in words]
+        try:
+            self._keeper = self._started(words)
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+        _log.info("started %s for %s", shlex.join(words), self.address)
+        self._finish = weakref.finalize(self, _end, self._keeper, self._folder)
+
+    def _started(self, words: list[str]) -> subprocess.Popen[bytes]:
+        """Return the keeper of the command *words*, which removes the folder, too, if this process dies."""
         with self._log.open("ab") as log:
-            self._keeper = subprocess.Popen(
-                [sys.executable, "-I", "-S", keeper.__file__, *words],
+            return subprocess.Popen(
+                [sys.executable, "-I", "-S", keeper.__file__, f"{keeper.FOLDER}{self._folder}", *words],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 env={**os.environ, ADDRESS_VARIABLE: self.address},
                 start_new_session=True,  # Ctrl-C is for us alone
             )
-        _log.info("started %s for %s", shlex.join(words), self.address)
-        self._finish = weakref.finalize(self, _end, self._keeper, self._folder)
 
     def wait(self, timeout_s: float) -> None:
         """Wait until something listens at the address.

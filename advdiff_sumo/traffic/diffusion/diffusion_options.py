@@ -13,9 +13,9 @@ from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.failure_predictor import FORMAT
 from advdiff_sumo.models.shipped_weights import ShippedName, find_weights
 from advdiff_sumo.models.stored import stored_format
+from advdiff_sumo.traffic.attack_names import RECKLESS_ATTACKS, FurtherAttack
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.repertoire import FurtherAttack
 from advdiff_sumo.traffic.manoeuvres.staging import STAGED
 
 Attack: TypeAlias = Literal[
@@ -38,8 +38,6 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "pull-out": ("pull-out", "any"),
 }
 """Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
-RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")
-"""Attacks that the guide has terms for."""
 
 
 class DiffusionOptions(Options):

@@ -7,7 +7,6 @@ what it demands of the target in ``answers``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -23,18 +22,6 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 DOUBLE = "double"
 """The kind of a leader that stops while others are nearer, see ``hidden_stop``."""
-FurtherAttack: TypeAlias = Literal[
-    "crossing",
-    "blocked-lane",
-    "stop-and-go",
-    "cut-out",
-    "queue",
-    "oncoming",
-    "double",
-    "slow-merge",
-    "pull-out",
-]
-"""What may be asked for under a licence besides "any", "hard-stop" and "cut-in"."""
 STOPPING_KINDS = ("hard-stop", "blocked-lane", DOUBLE)
 """Kinds that end in a stop in the lane."""
 ENDS_STANDING = (*STOPPING_KINDS, "cut-in")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +12,7 @@ from pydantic import Field
 from advdiff_sumo.config import Options
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.traffic.attack_names import Kind
 from advdiff_sumo.traffic.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
@@ -24,7 +25,6 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     Intensity,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
-from advdiff_sumo.traffic.manoeuvres.repertoire import FurtherAttack
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
@@ -33,8 +33,6 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
-
-Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", FurtherAttack]
 
 
 class ScriptedOptions(Options):

@@ -125,7 +125,26 @@ def test_warm_ups_and_scenes_are_drawn_at_once() -> None:
     assert found.high == 0.75
     assert Pooled(tuple("abcd"), hits[:1]).estimate().low == pytest.approx(0.0456, abs=1e-4)
     gained = Pooled(tuple("abcd"), hits).less(Pooled(tuple("dcba"), np.array([[0.0, 0.0, 0.0, 1.0]])))
-    assert (gained.value, gained.low, gained.high, gained.scenes) == (0.0, 0.0, 0.0, 4)
+    assert (gained.value, gained.scenes) == (0.0, 4)
+    assert (gained.low, gained.high) == pytest.approx(
+        (-0.4899, 0.4899), abs=1e-4
+    )  # no pair differs: z² / (4 + z²)
+
+
+def test_a_difference_that_all_pairs_agree_in_has_a_width() -> None:
+    """None of eight is otherwise: z² / (8 + z²) = 0.3244, and no difference is beyond 1."""
+    all_hit, none_hit = (ratio(names(8), [hit] * 8, [1.0] * 8, rate=True) for hit in (1.0, 0.0))
+    for sample, other, low, high in (
+        (all_hit, all_hit, -0.3244, 0.3244),
+        (none_hit, none_hit, -0.3244, 0.3244),
+        (all_hit, none_hit, 0.6756, 1.0),
+        (none_hit, all_hit, -1.0, -0.6756),
+    ):
+        found = difference(sample, other)
+        assert (found.low, found.high) == pytest.approx((low, high), abs=1e-4)
+    first = Pooled(tuple(names(8)), np.zeros((1, 8)))
+    later = Pooled(tuple(names(8)), np.zeros((3, 8))).less(first)
+    assert (later.low, later.high) == pytest.approx((-0.3244, 0.3244), abs=1e-4)
 
 
 def test_the_mean_over_targets_takes_the_scenes_that_all_have() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.terminal import Bars, terminal
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.fewshot import marks_of
@@ -73,6 +74,14 @@ def test_the_papers_figures_stand_beside(table: Table) -> None:
     print_table(terminal(file=sink, width=150, force_terminal=True, color_system="standard"), table)
     assert re.search(r"\x1b\[90mpaper 11\.03", sink.getvalue())
     assert "n 8" in sink.getvalue()
+
+
+def test_a_note_that_was_said_before_the_table_is_not_said_again(table: Table) -> None:
+    sink, noted = io.StringIO(), replace(table, notes=("few scenes", "another"))
+    bars = Bars(terminal(file=sink))
+    bars.say("few scenes")
+    print_table(terminal(file=sink), noted, bars.said)
+    assert (sink.getvalue().count("few scenes"), sink.getvalue().count("another")) == (1, 1)
 
 
 def test_the_papers_tables_are_complete() -> None:

@@ -300,6 +300,6 @@ def test_command_tells_that_a_record_states_no_links(tmp_path: Path) -> None:
     done = advdiff("convert", path, "-o", tmp_path / "n.net.xml", cwd=tmp_path)
     assert done.code == 0, done.err
     assert (
-        "hold 2 of 2 lanes and connectors of the file and 1 links where lanes meet (it states none),"
+        "hold 2 of 2 lanes and connectors of the file and 1 link where lanes meet (it states none),"
         in done.out
     )

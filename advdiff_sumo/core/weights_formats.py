@@ -1,0 +1,28 @@
+"""What files of weights hold, by the format that their headers name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from advdiff_sumo.core.errors import WeightsError
+
+CONTENTS: Mapping[str, str] = {
+    "advdiff-weights-1": "a traffic model",
+    "advdiff-simnet-1": "the network of SimNet",
+    "advdiff-reward-1": "a reward model",
+    "advdiff-failures-1": "what a warm-up learned of encounters",
+    "advdiff-actor-1": "an actor of Adv-RL",
+    "advdiff-training-1": "the checkpoint of a training",
+}
+"""What a file of each format holds."""
+
+
+def of_another_format(path: Path, kind: str, found: str, remedy: str) -> WeightsError:
+    """Return the error of a file of the format *found* in place of *kind*; the *remedy* is of one that nobody knows."""
+    problem = f"is not of the format {kind}"
+    if found not in CONTENTS or kind not in CONTENTS:
+        return WeightsError(path, problem, remedy)
+    return WeightsError(
+        path, f"{problem}, it holds {CONTENTS[found]}", f"name a file that holds {CONTENTS[kind]}"
+    )

@@ -1,0 +1,25 @@
+"""What verdict says of an episode, in the singular where there is one."""
+
+from __future__ import annotations
+
+import io
+
+from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.verdict import _say
+
+
+def test_one_of_each_is_told_in_the_singular() -> None:
+    sink = io.StringIO()
+    row = {
+        "end": "horizon",
+        "target_collision": False,
+        "valid_failure": False,
+        "critical": True,
+        "offences": 1,
+    }
+    _say(terminal(file=sink), [row], search=False)
+    assert sink.getvalue().splitlines() == [
+        "1 episode, 0 collisions of the target: 0 valid failures",
+        "1 critical near miss",
+        "1 episode in which the target broke a rule",
+    ]

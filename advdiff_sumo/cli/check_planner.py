@@ -11,7 +11,7 @@ from rich.text import Text
 
 from advdiff_sumo.cli.run_flags import Defect
 from advdiff_sumo.cli.terminal import findings_table, terminal
-from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, limits_of
+from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -47,6 +47,7 @@ def check_planner(
 
     Exit code 0: it may be tested; 1: a check fails; 2: there is no such planner, or it cannot be made.
     """
+    end_as_by_ctrl_c()
     one_thread_for_good()
     from advdiff_sumo.experiments.target_trial import Extent, check_in_worker  # late: --help needs none of it
 

@@ -13,7 +13,7 @@ import typer
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import progress_bar, terminal
-from advdiff_sumo.cli.worker_flags import Timeout, limits_of
+from advdiff_sumo.cli.worker_flags import Timeout, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -58,6 +58,7 @@ def warmup(
 
     The planner is met in a process of its own: one that crashes, hangs or leaves ends the warm-up with a sentence.
     """
+    end_as_by_ctrl_c()
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given
 

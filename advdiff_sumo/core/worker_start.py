@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from multiprocessing.context import BaseContext
 from pathlib import Path
 
+from advdiff_sumo.core.errors import ConfigError
+
 FORK_SERVER = "forkserver"
 
 
@@ -23,6 +25,9 @@ def worker_context(modules: Iterable[str]) -> BaseContext:
 
     Args:
         modules: that workers will need. Those of the first call are loaded before; others each worker imports itself.
+
+    Raises:
+        ConfigError: the folder of temporary files has no room for a socket's path.
     """
     if FORK_SERVER not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
@@ -35,6 +40,11 @@ def worker_context(modules: Iterable[str]) -> BaseContext:
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         ensure_running()
+    except OSError as error:
+        raise ConfigError(
+            f"no worker process can be started, as their socket cannot lie in {tempfile.gettempdir()} ({error}); "
+            "let TMPDIR name a folder with a shorter path"
+        ) from None
     finally:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     return context

@@ -126,14 +126,30 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
     assert not (folder / "new").exists()
 
 
-def _interrupted_while_it_plans(running: subprocess.Popen[str], folder: Path) -> str:
+def test_a_check_that_is_told_to_end_leaves_no_folder(
+    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, temporary = _place(grid, tmp_path), tmp_path / "temporary"
+    (folder / "endless.py").write_text(ENDLESS)
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    words = ("--net", "grid.net.xml", "--episodes", "1", "--horizon", "2")
+    running = begin("check-planner", "endless:Endless", *words, cwd=folder)
+    _interrupted_while_it_plans(running, folder, signal.SIGTERM)
+    assert running.returncode == 130
+    assert not list(temporary.glob("advdiff-*"))
+
+
+def _interrupted_while_it_plans(
+    running: subprocess.Popen[str], folder: Path, by: signal.Signals = signal.SIGINT
+) -> str:
     """Return what *running* says when it is interrupted once ``Endless`` plans in *folder*."""
     until = time.monotonic() + HANG_S
     while not (folder / "began").exists():
         assert running.poll() is None, running.communicate()
         assert time.monotonic() < until
         time.sleep(0.02)
-    running.send_signal(signal.SIGINT)
+    running.send_signal(by)
     _, said = running.communicate(timeout=HANG_S)
     return said
 

@@ -32,6 +32,16 @@ def _netconvert(folder: Path, edges: str) -> None:
     subprocess.run(command, check=True, capture_output=True, cwd=folder)
 
 
+def test_a_folder_of_temporary_files_that_sockets_do_not_fit_into(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = workplace / ("x" * 90)
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    said = sentence(advdiff(*GRID, cwd=workplace, program=(sys.executable, "-B", "-m", "advdiff_sumo")))
+    assert not _missing(said, str(temporary), "TMPDIR", "shorter path")
+
+
 # --- nets ------------------------------------------------------------------------------------------------
 
 

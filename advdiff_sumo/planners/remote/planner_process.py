@@ -93,9 +93,9 @@ class PlannerProcess:
             time.sleep(_POLL_S)
 
     def ended(self) -> str:
-        """Return how the command ended, as the end of a sentence; "" where it has not within a second."""
+        """Return how the command ended, as the end of a sentence; "" where it has not within some seconds."""
         try:  # its input stays open: that it ends is what tells the keeper to end the command
-            self._keeper.wait(timeout=1.0)
+            self._keeper.wait(timeout=_END_S)
         except subprocess.TimeoutExpired:
             return ""
         assert self._keeper.stdout is not None  # noqa: S101 - it is a pipe

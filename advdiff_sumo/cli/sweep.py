@@ -82,7 +82,7 @@ def sweep(
         _tell_changed(plan, begun)
         folder = resume or out or _new_folder(console, file)
         store = open_store(folder, plan, done_by.slots, resume is not None)
-        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(store)))
+        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(store.path)))
         todo = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _episodes(console, plan, store, todo, done_by, retries)
     _show_report(console, store.path, report, todo.done < todo.total)
@@ -108,9 +108,9 @@ def _tell_changed(plan: SweepPlan, begun: Store | None) -> None:
         tell_changed_code(settings_of(plan)["made_by"], begun.made_by())
 
 
-def _to_go_on(store: Store) -> str:
-    """Return the command that goes on with the sweep."""
-    return f"advdiff-sumo sweep --resume {shlex.quote(str(store.path))}"
+def _to_go_on(folder: Path) -> str:
+    """Return the command that goes on with the sweep in *folder*."""
+    return f"advdiff-sumo sweep --resume {shlex.quote(str(folder))}"
 
 
 def _show_report(console: Console, folder: Path, wanted: bool, is_longer: bool) -> None:
@@ -176,11 +176,9 @@ def _new_folder(console: Console, file: Path | None) -> Path:
     name = file.stem if file is not None else "sweep"
     folder = free_folder(name)
     if folder.name != name and (RUNS / name / SWEEP_SETTINGS).exists():
-        before = shlex.quote(str(RUNS / name))
-        again = f"advdiff-sumo sweep --resume {before}"
-        console.print(
-            f"{before} is there already ({again} goes on with it): this one goes to {folder}", soft_wrap=True
-        )
+        before = RUNS / name
+        words = f"{shlex.quote(str(before))} is there already ({_to_go_on(before)} goes on with it)"
+        console.print(f"{words}: this one goes to {folder}", soft_wrap=True)
     return folder
 
 

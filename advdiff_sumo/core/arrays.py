@@ -20,6 +20,12 @@ def quotient(value: FloatArray, rate: FloatArray) -> FloatArray:
         return np.asarray(np.where(some, value / np.where(some, rate, 1.0), np.inf))
 
 
+def stretches(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return (start, stop) of each unbroken run of True in *mask* (T,), *stop* exclusive."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(start, stop) for start, stop in edges.reshape(-1, 2).tolist()]
+
+
 def read_only(array: _Array) -> _Array:
     """Return *array* itself, which nobody can write into from now on: many share it."""
     array.setflags(write=False)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.kinematic_states import KinematicStates
 
 
 class AgentClass(IntEnum):
@@ -29,6 +30,7 @@ HEAVY_CLASSES = (AgentClass.TRUCK, AgentClass.BUS)
 """Vehicles of some tons, which brake less hard than cars."""
 TRACK_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
 """What :class:`Tracks` holds as arrays."""
+_STATES = TRACK_ARRAYS[2:]
 
 
 @dataclass(frozen=True)
@@ -101,32 +103,40 @@ class Tracks:
         if picked.dtype == np.bool_:
             picked = np.flatnonzero(picked)
         picked = picked.astype(np.int64)
-        return replace(
-            self,
-            ids=tuple(self.ids[i] for i in picked),
-            classes=self.classes[picked],
-            size_m=self.size_m[picked],
-            xy_m=self.xy_m[picked],
-            yaw_rad=self.yaw_rad[picked],
-            speed_mps=self.speed_mps[picked],
-            valid=self.valid[picked],
-        )
+        arrays = {name: getattr(self, name)[picked] for name in TRACK_ARRAYS}
+        return replace(self, ids=tuple(self.ids[i] for i in picked), **arrays)
 
     def window(self, start: int, stop: int) -> Tracks:
         """Return instants *start* to *stop* (exclusive, both in [0, T])."""
-        return self._at(slice(start, stop), self.t0_s + self.dt_s * start, self.dt_s)
+        return self.at(slice(start, stop), self.t0_s + self.dt_s * start, self.dt_s)
 
     def every(self, stride: int, first: int = 0) -> Tracks:
         """Return every *stride*-th instant, from *first* on."""
-        return self._at(slice(first, None, stride), self.t0_s + self.dt_s * first, self.dt_s * stride)
+        return self.at(slice(first, None, stride), self.t0_s + self.dt_s * first, self.dt_s * stride)
 
-    def _at(self, instants: slice, t0_s: float, dt_s: float) -> Tracks:
+    def at(self, instants: slice | IntArray, t0_s: float, dt_s: float) -> Tracks:
+        """Return the states at *instants*, indices in [0, T), as of *t0_s* and every *dt_s* from then on."""
+        states = {name: getattr(self, name)[:, instants] for name in _STATES}
+        return replace(self, t0_s=t0_s, dt_s=dt_s, **states)
+
+    def where(self, mask: BoolArray) -> Tracks:
+        """Return the same tracks, valid only where *mask*, (A, T) or (T,), is True, too."""
         return replace(
             self,
-            xy_m=self.xy_m[:, instants],
-            yaw_rad=self.yaw_rad[:, instants],
-            speed_mps=self.speed_mps[:, instants],
-            valid=self.valid[:, instants],
+            xy_m=np.where(mask[..., None], self.xy_m, np.nan),
+            yaw_rad=np.where(mask, self.yaw_rad, np.nan),
+            speed_mps=np.where(mask, self.speed_mps, np.nan),
+            valid=self.valid & mask,
+        )
+
+    def driving(self, plan: KinematicStates, t0_s: float, dt_s: float) -> Tracks:
+        """Return these agents with the states of *plan* (A, T), there at each of its instants."""
+        return replace(
+            self,
+            xy_m=plan.xy_m,
+            yaw_rad=plan.yaw_rad,
+            speed_mps=plan.speed_mps,
+            valid=np.ones(plan.yaw_rad.shape, dtype=np.bool_),
             t0_s=t0_s,
             dt_s=dt_s,
         )

@@ -118,7 +118,7 @@ class Judging:
     count: int
     episodes: Callable[[], Iterator[tuple[str, EpisodeTables]]]
     keep: Callable[[str, JudgedRows], None]
-    finish: Callable[[], None]
+    finish: Callable[[], object]
     doubt: str = ""
 
     def judge(self, workers: int, tell: Callable[[], None], search: bool = False) -> list[dict[str, Any]]:
@@ -214,13 +214,7 @@ def _sweep(store: Store, plan: SweepPlan) -> Judging:
             net = _net(plan.options(job).net, store.path)
             yield key, EpisodeTables(net, row, part.tables["states"], hits, part.tables.get("signals"))
 
-    def keep(key: str, judged: JudgedRows) -> None:
-        _keep_in_part(store, key, judged)
-
-    def finish() -> None:
-        consolidate(store, plan)
-
-    return Judging(len(jobs), episodes, keep, finish)
+    return Judging(len(jobs), episodes, partial(_keep_in_part, store), partial(consolidate, store, plan))
 
 
 def _keep_in_part(store: Store, key: str, judged: JudgedRows) -> None:

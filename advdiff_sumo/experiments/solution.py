@@ -136,24 +136,9 @@ def _scene(tracks: Tracks, target: int, begin: int, stride: int) -> Scene:
     here = np.flatnonzero(tracks.valid[:, begin])
     index = begin - stride * np.arange(HISTORY_STEPS - 1, -1, -1)
     known, index = index >= 0, np.maximum(index, 0)
-    valid = tracks.valid[here][:, index] & known
-
-    def past(values: FloatArray) -> FloatArray:
-        picked = values[here][:, index]
-        mask = valid if picked.ndim == 2 else valid[..., None]
-        return np.asarray(np.where(mask, picked, np.nan))
-
-    history = Tracks(
-        ids=tuple(tracks.ids[row] for row in here.tolist()),
-        classes=tracks.classes[here],
-        size_m=tracks.size_m[here],
-        xy_m=past(tracks.xy_m),
-        yaw_rad=past(tracks.yaw_rad),
-        speed_mps=past(tracks.speed_mps),
-        valid=valid,
-        t0_s=tracks.t0_s + tracks.dt_s * (begin - stride * (HISTORY_STEPS - 1)),
-        dt_s=tracks.dt_s * stride,
-    )
+    t0_s = tracks.t0_s + tracks.dt_s * (begin - stride * (HISTORY_STEPS - 1))
+    history = tracks.rows(here).at(index, t0_s, tracks.dt_s * stride)
+    history = history.where(history.valid & known)
     row = int(np.flatnonzero(here == target)[0])
     movable = np.arange(len(here)) != row
     return Scene(history, row, movable, ((),) * len(here), {})

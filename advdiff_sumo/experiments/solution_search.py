@@ -11,7 +11,7 @@ from torch import Tensor
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.context import Context
-from advdiff_sumo.models.decoder import Forced, Rollout
+from advdiff_sumo.models.decoder import Forced, Rollout, rollout_of
 from advdiff_sumo.models.losses import discs, off_road
 from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import controls, step
@@ -141,7 +141,7 @@ def _drive(raw: Tensor, batch: SceneBatch, model: ModelOptions) -> Rollout:
         accel, curvature = controls((scale * raw[:, k])[:, None], speed, length, model)
         xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
         states.append((xy, yaw, speed, accel, curvature))
-    return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+    return rollout_of(states)
 
 
 def _optimised(raw: Tensor, batch: SceneBatch, forced: Forced, rounds: int, model: ModelOptions) -> Tensor:

@@ -13,10 +13,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.commonroad_lanelets import add_map
-from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, stretches, unwrapped
+from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, unwrapped
 from advdiff_sumo.export.importers.assemble import AgentPart, assemble, reading
 from advdiff_sumo.export.importers.xml_file import attribute, found, read_xml, text_at
 

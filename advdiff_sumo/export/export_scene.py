@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import Lane, RoadMap
 
@@ -93,12 +93,6 @@ def plain_names(ids: Sequence[str], pattern: str) -> list[str]:
             taken.add(name)
         names.append(name)
     return names
-
-
-def stretches(valid: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield (start, stop) of each unbroken run of True in *valid* (T,), *stop* exclusive."""
-    edges = np.diff(np.concatenate(([0], valid.astype(np.int8), [0])))
-    yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
 
 
 def unwrapped(yaw_rad: FloatArray) -> FloatArray:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scenariogeneration import xosc
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.export.export_scene import ExportScene, plain_names, stretches, unwrapped
+from advdiff_sumo.export.export_scene import ExportScene, plain_names, unwrapped
 
 _MINOR = 2
 PLAIN_NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"

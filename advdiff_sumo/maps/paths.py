@@ -165,7 +165,7 @@ class PathFinder:
             if name in self.outlooks[number]:
                 s = float(np.clip(start_s_m, 0.0, lane.length_m)) if name == lane.id else None
                 s = float(self._lanes[name].line.project(xy)[0]) if s is None else s
-                paths_ahead.append(self._walk([name], [], number, s, horizon_m))
+                paths_ahead.append(self._walk([name], number, s, horizon_m))
         return paths_ahead
 
     def _from_internal(self, lane: Lane, start_s_m: float, horizon_m: float) -> list[LanePath]:
@@ -173,17 +173,15 @@ class PathFinder:
             for link in lane.successors:
                 if link.to_lane in outlook:
                     s = float(np.clip(start_s_m, 0.0, lane.length_m))
-                    return [self._walk([lane.id, *link.via, link.to_lane], [], number, s, horizon_m)]
+                    return [self._walk([lane.id, *link.via, link.to_lane], number, s, horizon_m)]
         return []
 
-    def _walk(
-        self, lane_ids: list[str], links: list[tuple[int, Link]], number: int, s_m: float, horizon_m: float
-    ) -> LanePath:
+    def _walk(self, lane_ids: list[str], number: int, s_m: float, horizon_m: float) -> LanePath:
         """Follow the best links from the last of *lane_ids*, a lane of edge *number* of the route."""
         first, first_number = self.outlooks[number][lane_ids[-1]], number
         before = sum(self._lanes[x].length_m for x in lane_ids[:-1])
         length = before + self._lanes[lane_ids[-1]].length_m - s_m
-        here = first
+        here, links = first, list[tuple[int, Link]]()
         while length < horizon_m and here.next_link is not None:
             link, number = here.next_link, number + 1
             links.append((len(lane_ids), link))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -122,14 +123,8 @@ class EdgeGraph:
         return ahead
 
     @cached_property
-    def _components(self) -> tuple[list[str], np.ndarray[tuple[int], np.dtype[np.int32]]]:
-        edges = sorted(self.successors)
-        number = {edge: row for row, edge in enumerate(edges)}
-        pairs = [(number[e], number[t]) for e in edges for t in self.successors[e]]
-        rows, columns = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-        matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(edges), len(edges)))
-        _, labels = connected_components(matrix, directed=True, connection="strong")
-        return edges, labels
+    def _components(self) -> tuple[list[str], NDArray[np.int32]]:
+        return strong_components(self.successors)
 
     def strongly_connected(self) -> frozenset[str]:
         """Return the largest set of edges of which each can be reached from each other one."""
@@ -145,6 +140,20 @@ class EdgeGraph:
 
     def _only_back(self, edge: str, others: tuple[str, ...]) -> bool:
         return all(self.ends[other] == self.ends[edge][::-1] for other in others)
+
+
+def strong_components(following: Mapping[str, Collection[str]]) -> tuple[list[str], NDArray[np.int32]]:
+    """Return the edges in order, and of each the number of the strongly connected part that it belongs to.
+
+    Args:
+        following: edge → those that it leads to, which are keys themselves.
+    """
+    names = sorted(following)
+    number = {name: row for row, name in enumerate(names)}
+    pairs = [(number[a], number[b]) for a in names for b in following[a]]
+    rows, columns = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
+    return names, connected_components(matrix, directed=True, connection="strong")[1]
 
 
 def _onward(graph: LaneGraph, lanes: list[Lane], vclass: str | None) -> dict[str, float]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.kinematics import snaps, unbroken
 
@@ -93,9 +93,7 @@ def _stretches(tracks: Tracks, row: int) -> list[slice]:
     """Return the stretches of instants over which the agent moves without break or sideways snap."""
     own = tracks.rows([row])
     steady = unbroken(own)[0] & ~snaps(own)[0]
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False])).astype(np.int64)))
-    spans = [slice(int(a), int(b) + 1) for a, b in edges.reshape(-1, 2)]
-    return [span for span in spans if span.stop - span.start >= _LEAST_WINDOW]
+    return [slice(a, b + 1) for a, b in stretches(steady) if b + 1 - a >= _LEAST_WINDOW]
 
 
 def _mean_max(values: FloatArray) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray
+from advdiff_sumo.core.arrays import BoolArray, stretches
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import MOTOR_CLASSES, Tracks
@@ -89,8 +89,8 @@ def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Impla
 def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Implausibility]:
     for row in np.flatnonzero(moved.any(axis=1)).tolist():
         worst: dict[str, Implausibility] = {}
-        for start, stop in _spans(moved[row]):
-            for one in _too_hard(tracks, row, start, stop):
+        for start, stop in stretches(moved[row]):
+            for one in _too_hard(tracks, row, start, stop) if stop - start >= _LEAST else ():
                 if one.what not in worst or one.value > worst[one.what].value:
                     worst[one.what] = one
         yield from worst.values()
@@ -109,8 +109,3 @@ def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Impla
         if value[worst] > SLACK * limit:
             time = tracks.t0_s + tracks.dt_s * (start + worst)
             yield Implausibility(tracks.ids[row], time, what, float(value[worst]), unit)
-
-
-def _spans(mask: BoolArray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int64)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= _LEAST]

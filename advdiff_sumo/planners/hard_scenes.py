@@ -38,13 +38,8 @@ def _standing(scene: Scene) -> Scene:
 
 
 def _without_past(scene: Scene) -> Scene:
-    history = scene.history
-    gone = np.ones(history.valid.shape, dtype=np.bool_)
-    gone[:, -1] = False
-    xy = np.where(gone[..., None], np.nan, history.xy_m)
-    yaw, speed = np.where(gone, np.nan, history.yaw_rad), np.where(gone, np.nan, history.speed_mps)
-    valid = history.valid & ~gone
-    return replace(scene, history=replace(history, xy_m=xy, yaw_rad=yaw, speed_mps=speed, valid=valid))
+    steps = scene.history.steps
+    return replace(scene, history=scene.history.where(np.arange(steps) == steps - 1))
 
 
 def _aside(scene: Scene) -> Scene:

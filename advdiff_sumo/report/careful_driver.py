@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
@@ -40,14 +40,6 @@ def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:
     """Return the drive as tracks of one agent, cut to the episode."""
     driven = states.tracks
     count = min(len(drive.states.speed_mps), driven.steps - drive.takeover_step)
-    return Tracks(
-        ids=(NAME,),
-        classes=driven.classes[[states.target]],
-        size_m=driven.size_m[[states.target]],
-        xy_m=drive.states.xy_m[None, :count],
-        yaw_rad=drive.states.yaw_rad[None, :count],
-        speed_mps=drive.states.speed_mps[None, :count],
-        valid=np.ones((1, count), dtype=np.bool_),
-        t0_s=drive.takeover_step * driven.dt_s,
-        dt_s=driven.dt_s,
-    )
+    target = replace(driven.rows([states.target]), ids=(NAME,))
+    shown = drive.states.mapped(lambda part: part[None, :count])
+    return target.driving(shown, drive.takeover_step * driven.dt_s, driven.dt_s)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
@@ -180,18 +180,12 @@ def _close_up(
 def _trails(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Trail, ...]:
     trails = []
     for row in _drawing_order(tracks, target, other):
-        for line in _stretches(tracks.xy_m[row]):
+        there = np.isfinite(tracks.xy_m[row]).all(axis=1)
+        for line in (tracks.xy_m[row, a:b] for a, b in stretches(there) if b - a > 1):
             cut = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
             pieces = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and not p.is_empty]
             trails += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
     return tuple(trails)
-
-
-def _stretches(xy_m: FloatArray) -> list[FloatArray]:
-    """Return the runs of finite points (K, 2), K ≥ 2, between gaps."""
-    there = np.concatenate(([False], np.isfinite(xy_m).all(axis=1), [False]))
-    edges = np.flatnonzero(np.diff(there.astype(np.int64))).reshape(-1, 2)
-    return [xy_m[a:b] for a, b in edges if b - a > 1]
 
 
 def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Box, ...]:

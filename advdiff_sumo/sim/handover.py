@@ -17,7 +17,7 @@ from advdiff_sumo.sim.background_control import MovedMotion
 from advdiff_sumo.sim.headway_relaxation import HeadwayRelaxation
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
-from advdiff_sumo.sim.world import World
+from advdiff_sumo.sim.world import World, stack
 
 _ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over
 _STANDS_MPS = 0.5
@@ -126,21 +126,11 @@ class Handover:
         self, rows: IntArray, routes: Mapping[str, tuple[str, ...]], signals: Mapping[str, str]
     ) -> Scene:
         """Return *rows*, as those that may be moved, and everybody near them, now."""
-        world, count = self.world, len(self.world)
-        xy = world.xy_m[:count]
+        world = self.world
+        xy = world.xy_m[: len(world)]
         gap = np.linalg.norm(xy[:, None] - xy[rows], axis=-1)
         near = np.flatnonzero((gap < _SEES_M).any(axis=1))  # NaN compares as False
-        now = Tracks(
-            ids=tuple(world.ids[row] for row in near.tolist()),
-            classes=world.classes[near],
-            size_m=world.size_m[near],
-            xy_m=xy[near, None],
-            yaw_rad=world.yaw_rad[near, None],
-            speed_mps=world.speed_mps[near, None],
-            valid=np.ones((len(near), 1), dtype=np.bool_),
-            t0_s=0.0,
-            dt_s=self.sim.model_step_s,
-        )
+        now, _ = stack(world, [world.frame()], near, 0.0, self.sim.model_step_s)
         ahead = tuple(self._expected(row, routes) for row in near.tolist())
         return Scene(now, 0, np.isin(near, rows), ahead, signals)
 

@@ -282,15 +282,5 @@ def _slower(now: Tracks, speed_mps: float) -> BoolArray:
 def tracks_of(view: View, futures: Futures) -> Tracks:
     """Return the plans of the moved vehicles."""
     rows = np.flatnonzero(view.moved)
-    now = view.now.rows(rows)
-    return Tracks(
-        ids=now.ids,
-        classes=now.classes,
-        size_m=now.size_m,
-        xy_m=futures.xy_m[rows, 1:],
-        yaw_rad=futures.yaw_rad[rows, 1:],
-        speed_mps=futures.speed_mps[rows, 1:],
-        valid=np.ones((len(rows), futures.steps), dtype=np.bool_),
-        t0_s=view.scene.time_s + futures.dt_s,
-        dt_s=futures.dt_s,
-    )
+    plans = futures.mapped(lambda part: part[rows, 1:])
+    return view.now.rows(rows).driving(plans, view.scene.time_s + futures.dt_s, futures.dt_s)

@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.resample import resample
@@ -103,11 +102,4 @@ def _without_blips(tracks: Tracks) -> Tracks:
     """Return *tracks* without presences of one instant: a vehicle logged once cannot be driven anywhere."""
     side = np.zeros((tracks.agents, 1), dtype=np.bool_)
     before, after = np.hstack((side, tracks.valid[:, :-1])), np.hstack((tracks.valid[:, 1:], side))
-    keep: BoolArray = tracks.valid & (before | after)
-    return replace(
-        tracks,
-        xy_m=np.where(keep[..., None], tracks.xy_m, np.nan),
-        yaw_rad=np.where(keep, tracks.yaw_rad, np.nan),
-        speed_mps=np.where(keep, tracks.speed_mps, np.nan),
-        valid=keep,
-    )
+    return tracks.where(before | after)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 
+from advdiff_sumo.core.arrays import stretches
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, UnknownNameError
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data import ScenarioNetReader
@@ -25,7 +26,7 @@ from advdiff_sumo.export import (
 )
 from advdiff_sumo.export.csv_export import Csv
 from advdiff_sumo.export.export_check import compare
-from advdiff_sumo.export.export_scene import MARGIN_M, number, seconds, stretches
+from advdiff_sumo.export.export_scene import MARGIN_M, number, seconds
 from advdiff_sumo.export.net_opendrive import plan_of
 from tests.export.drives import DT_S, straight, tracks_of
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from advdiff_sumo.maps.routing import strong_components
 
 
 def reached(starts: Collection[str], following: Mapping[str, Collection[str]]) -> set[str]:
@@ -22,15 +20,8 @@ def reached(starts: Collection[str], following: Mapping[str, Collection[str]]) -
 
 def strong_parts(next_edges: Mapping[str, Sequence[str]]) -> list[list[str]]:
     """Return the strongly connected parts of the edges, largest first, ties by name."""
-    names = sorted(next_edges)
-    number = {name: index for index, name in enumerate(names)}
-    pairs = np.array([(number[a], number[b]) for a in names for b in next_edges[a]], dtype=np.int64).reshape(
-        -1, 2
-    )
-    graph = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(names), len(names)))
-    _, label = connected_components(graph, directed=True, connection="strong")
     parts: dict[int, list[str]] = {}
-    for name, part in zip(names, label, strict=True):
+    for name, part in zip(*strong_components(next_edges), strict=True):
         parts.setdefault(int(part), []).append(name)
     return sorted(parts.values(), key=lambda part: (-len(part), part))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from advdiff_sumo.core.arrays import quotient
@@ -24,14 +26,10 @@ def extended(tracks: Tracks, begin: int, after: int) -> Tracks:
     xy = cut.xy_m[:, -1:] + driven[..., None] * unit(heading)
     pace = speed[:, None] - sign * braking * moving
     there = np.repeat(cut.valid[:, -1:], after, axis=1)
-    return Tracks(
-        ids=cut.ids,
-        classes=cut.classes,
-        size_m=cut.size_m,
+    return replace(
+        cut,
         xy_m=np.concatenate((cut.xy_m, xy), axis=1),
         yaw_rad=np.concatenate((cut.yaw_rad, heading), axis=1),
         speed_mps=np.concatenate((cut.speed_mps, pace), axis=1),
         valid=np.concatenate((cut.valid, there), axis=1),
-        t0_s=cut.t0_s,
-        dt_s=cut.dt_s,
     )

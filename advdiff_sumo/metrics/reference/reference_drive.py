@@ -325,7 +325,7 @@ class ReferenceDrivers:
         return ReferenceDrive(
             model=driver.name,
             takeover_step=first,
-            states=_cut(drive, kept),
+            states=drive.mapped(lambda part: part[:kept]),
             accel_mps2=accel[:kept],
             touches=touched,
             spare_m=0.0 if hit else least_gap_m(drive, others, row, self._partner, stands),
@@ -337,10 +337,6 @@ class ReferenceDrivers:
         recorded = self._record.tracks.steps - self._begin - start
         standing = np.flatnonzero(speed[recorded - 1 :] <= 0.0)
         return recorded + int(standing[0]) if standing.size else len(speed)
-
-
-def _cut(drive: Trajectory, length: int) -> Trajectory:
-    return Trajectory(drive.xy_m[:length], drive.yaw_rad[:length], drive.speed_mps[:length], drive.dt_s)
 
 
 def _last_safe(safe: BoolArray, spell: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -111,14 +112,8 @@ class BlindToClasses(Blindness):
         return np.isin(scene.history.classes, self.classes) & (_distance_m(scene) > self.value)
 
 
-def blind_to_heavy(value: float) -> PlantedFault:
-    """Return blindness to trucks and buses beyond *value* metres."""
-    return BlindToClasses(value, HEAVY_CLASSES)
-
-
-def blind_to_unprotected(value: float) -> PlantedFault:
-    """Return blindness to motorcycles, bicycles and pedestrians beyond *value* metres."""
-    return BlindToClasses(value, _UNPROTECTED)
+blind_to_heavy = partial(BlindToClasses, classes=HEAVY_CLASSES)
+blind_to_unprotected = partial(BlindToClasses, classes=_UNPROTECTED)
 
 
 def _distance_m(scene: Scene) -> FloatArray:

@@ -71,13 +71,8 @@ class ConstantVelocity(PlantedFault):
             xy[row], yaw[row], speed[row], _ = _at(known, then)
             gone = speed[row] * (history.times_s - then)
             xy[row] += gone[:, None] * unit(yaw[row])
-        there = history.valid
-        xy, yaw, speed = (
-            np.where(there[..., None], xy, np.nan),
-            np.where(there, yaw, np.nan),
-            np.where(there, speed, np.nan),
-        )
-        return with_states(scene, others_of(scene), xy, yaw, speed), past
+        believed = with_states(scene, others_of(scene), xy, yaw, speed)
+        return replace(believed, history=believed.history.where(history.valid)), past
 
 
 def _with(memory: Any, scene: Scene, span_s: float) -> _Past:

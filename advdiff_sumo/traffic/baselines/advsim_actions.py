@@ -15,7 +15,7 @@ from torch import Tensor
 
 from advdiff_sumo.core.bicycle import WHEELBASE_PER_LENGTH
 from advdiff_sumo.models.batch import SceneBatch
-from advdiff_sumo.models.decoder import Rollout
+from advdiff_sumo.models.decoder import Rollout, rollout_of
 from advdiff_sumo.models.geometry import wrap_angle
 from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import step
@@ -88,7 +88,7 @@ def driven(
         curvature = torch.minimum(torch.maximum(curvature, -limit), limit)
         xy, yaw, speed = step(xy, yaw, speed, accel, curvature, MODEL_STEP_S)
         states.append((xy, yaw, speed, accel, curvature))
-    return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
+    return rollout_of(states)
 
 
 def _filled(changes: Tensor, steps: int) -> Tensor:

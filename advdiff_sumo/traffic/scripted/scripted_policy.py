@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from advdiff_sumo.config import Options
+from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.traffic.attack_names import Kind
@@ -111,16 +112,5 @@ def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -
     if not manoeuvres:
         return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin)
     rows = [m.row for m in manoeuvres]
-    xy, yaw, speed = planned_motions(view, manoeuvres)
-    now = view.scene.history.rows(rows)
-    return Tracks(
-        ids=now.ids,
-        classes=now.classes,
-        size_m=now.size_m,
-        xy_m=xy,
-        yaw_rad=yaw,
-        speed_mps=speed,
-        valid=np.ones(yaw.shape, dtype=np.bool_),
-        t0_s=begin,
-        dt_s=PLAN_DT_S,
-    )
+    plans = KinematicStates(*planned_motions(view, manoeuvres))
+    return view.scene.history.rows(rows).driving(plans, begin, PLAN_DT_S)

@@ -19,7 +19,7 @@ from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.simnet import SimNet
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.cvae import known_mean
-from advdiff_sumo.training.displacement import displacement, driving
+from advdiff_sumo.training.displacement import displacement
 from advdiff_sumo.training.presets import SimnetOptions
 from advdiff_sumo.training.stage import Moment, Stage, Tally
 
@@ -52,13 +52,11 @@ class SimnetStage(Stage):
         loss, scenes = float(known_mean(reconstruction(rollout, batch), batch)), float(batch.scenes)
         tally = displacement(rollout, batch)
         there = batch.present[..., None].expand(rollout.yaw.shape)
-        count = float(driving(batch).sum())
         return {
             "loss": (loss * scenes, scenes),
             "ade_m": tally.ade_sum(),
             "fde_m": tally.fde_sum(),
-            "collision_rate": (float(realism.colliding(rollout, batch, there).sum()), count),
-            "off_road_rate": (float(realism.leaving_road(rollout, batch, there).sum()), count),
+            **realism.faults(rollout, batch, there),
         }
 
 

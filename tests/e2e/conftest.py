@@ -27,7 +27,9 @@ class Patient(LaneGraphPlanner):
     "Drives like lane_graph; from the third episode on it waits while a file named hold is there."
 
     def start(self, road, scene, rng):
-        while Path("hold").exists() and len(list(Path("run/parts").glob("episodes/00/??????"))) >= 2:
+        with Path("starts").open("a") as starts:  # parts may be stored late
+            starts.write(".")
+        while Path("hold").exists() and len(Path("starts").read_text()) > 2:
             time.sleep(0.01)
         return super().start(road, scene, rng)
 

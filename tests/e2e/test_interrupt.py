@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -129,15 +130,15 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
 def test_a_check_that_is_told_to_end_leaves_no_folder(
     grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, temporary = _place(grid, tmp_path), tmp_path / "temporary"
+    folder = _place(grid, tmp_path)
     (folder / "endless.py").write_text(ENDLESS)
-    temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
     words = ("--net", "grid.net.xml", "--episodes", "1", "--horizon", "2")
-    running = begin("check-planner", "endless:Endless", *words, cwd=folder)
-    _interrupted_while_it_plans(running, folder, signal.SIGTERM)
-    assert running.returncode == 130
-    assert not list(temporary.glob("advdiff-*"))
+    with tempfile.TemporaryDirectory() as temporary:  # the tests' own is too long for sockets
+        monkeypatch.setenv("TMPDIR", temporary)
+        running = begin("check-planner", "endless:Endless", *words, cwd=folder)
+        _interrupted_while_it_plans(running, folder, signal.SIGTERM)
+        assert running.returncode == 130
+        assert not list(Path(temporary).glob("advdiff-*"))
 
 
 def _interrupted_while_it_plans(

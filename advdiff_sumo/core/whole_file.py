@@ -39,8 +39,12 @@ def whole_file(path: Path, ending: str = "") -> Iterator[Path]:
         raise
 
 
-def make_folder(path: Path) -> None:
-    """Make the folder *path*, which an --out names, and those above it, unless they are there.
+def make_folder(path: Path, remedy: str = "choose another --out") -> None:
+    """Make the folder *path*, which an option names, and those above it, unless they are there.
+
+    Args:
+        path: of the folder.
+        remedy: what to do where it cannot be made.
 
     Raises:
         FileError: it cannot be made.
@@ -48,7 +52,7 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(path, f"cannot be made ({error.strerror})", "choose another --out") from None
+        raise FileError(path, f"cannot be made ({error.strerror})", remedy) from None
 
 
 def aside_of(path: Path, ending: str = "") -> Path:

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options, OwnOptions, Seed
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
+from advdiff_sumo.core.whole_file import make_folder
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.plugins import Registry, fold
 from advdiff_sumo.sim.run_episodes import versions
@@ -155,10 +156,7 @@ def open_bench(path: Path, request: Request) -> Folder:
         "revisions": list(revisions),
         "made_by": made_by,
     }
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(path, f"cannot be made ({error.strerror})", "choose another --out") from None
+    make_folder(path)
     write_whole(path / _FILE, (json.dumps(content, indent=1, sort_keys=True) + "\n").encode())
     return Folder(path, request, revisions)
 

@@ -31,6 +31,7 @@ from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList
 from advdiff_sumo.experiments.bench.table import Gap, Head, RowSamples, Table, lines_of, paper_table
+from advdiff_sumo.metrics.statistics import TAILS
 from advdiff_sumo.planners.planner_registry import TARGETS
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
@@ -207,5 +208,5 @@ def share_kept(pairs: Sequence[tuple[Sample, Sample]]) -> Estimate:
     if np.isnan(value):
         return Estimate(n=len(common))
     drawn = share(draws(len(common)))
-    low, high = np.nanpercentile(drawn, (2.5, 97.5))
+    low, high = np.nanpercentile(drawn, TAILS)
     return Estimate(value, float(low), float(high), len(common))

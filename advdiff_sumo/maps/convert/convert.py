@@ -11,8 +11,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.polylines import line_length_m
+from advdiff_sumo.core.whole_file import make_folder
 from advdiff_sumo.maps.convert.annotate import annotate_net, restore_shapes
 from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
@@ -144,7 +144,7 @@ def convert_source(
     ways, doubles = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
     source = _with_idle_signals(source, plan)
-    _make_folder(out_net)
+    make_folder(out_net.parent, "choose another output path")
     joined, beyond = _beyond(plan, source, osm, close_rim, layout.counts)
     waiting = [*waiting_turns(plan, source), *beyond.streets.first_to_go]
     warnings = _build(joined, source, out_net, layout.counts, beyond, waiting)
@@ -306,12 +306,3 @@ def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[Sid
 def _numbered_links(source: SourceMap) -> list[tuple[int, int]]:
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
     return [(number[a], number[b]) for a, b in source.links]
-
-
-def _make_folder(out_net: Path) -> None:
-    try:
-        out_net.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(
-            out_net.parent, f"cannot be made ({error.strerror})", "choose another output path"
-        ) from None

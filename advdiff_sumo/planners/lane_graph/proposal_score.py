@@ -21,6 +21,7 @@ _COLLISION, _COLLISION_FADE_S = 300.0, 4.0
 _OVERRUN = 60.0
 _CLOSE, _PRECEDENCE, _UNSAFE_GAP = 4.0, 150.0, 200.0
 _PROGRESS, _ACCEL, _JERK, _LATERAL = 12.0, 0.25, 0.02, 0.1
+_SLIDE, _SLIDES_FROM = 4.0, 1.6  # per m/s, from so many times the lateral acceleration of comfort on
 _CHANGE, _CHANGE_UNDERWAY, _NUDGE = 1.6, 0.3, 1.0
 _ROUTE, _ROUTE_NEAR_M, _ROUTE_FAR_M = 7.0, 40.0, 160.0
 
@@ -253,9 +254,10 @@ def driving_cost(
     accel = candidates.accel_mps2
     jerk = np.diff(accel, axis=1, prepend=state.accel_mps2) / STEP_S
     turn = np.diff(np.unwrap(candidates.yaw_rad, axis=1), axis=1) / STEP_S
-    lateral = np.abs(turn * candidates.speed_mps[:, 1:]).max(-1)
+    lateral = np.abs(turn * candidates.speed_mps[:, 1:])
+    slide = np.maximum(lateral - _SLIDES_FROM * options.lateral_mps2, 0.0)
     cost = _PROGRESS * (1.0 - ahead / wanted) + _ACCEL * (accel**2).mean(-1)
-    cost += _JERK * np.abs(jerk).mean(-1) + _LATERAL * lateral
+    cost += _JERK * np.abs(jerk).mean(-1) + _LATERAL * lateral.max(-1) + _SLIDE * STEP_S * slide.sum(-1)
     sideways = np.array([_sideways_cost(v, target_lane, state, options) for v in variants])
     return np.asarray(cost + sideways[choice.variant])
 

@@ -2,9 +2,9 @@
 
 After Rempe et al. 2022 (Sec. 3.3, doi:10.1109/CVPR52688.2022.01679): a scenario is solvable when, with everybody
 else as recorded, another drive of the target exists that touches nobody and stays on the road. Theirs searches
-the target's latent; this one searches its actions, from draws of the traffic model and from plain manoeuvres, and
-checks the result with the exact boxes at the simulation's step. Others do not react, so a drive that they would
-have made room for does not count: the share of solvable scenarios is a lower bound.
+the target's latent; this one searches its actions, from draws of the traffic model and from plain manoeuvres, tries
+to brake on the recorded way, and checks all of it with the exact boxes at the simulation's step. Others do not react,
+so a drive that they would have made room for does not count: the share of solvable scenarios is a lower bound.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.solution_check import TargetSurroundings, drive, surroundings, usable
+from advdiff_sumo.experiments.solution_check import TargetSurroundings, braked, drive, surroundings, usable
 from advdiff_sumo.experiments.solution_search import search
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, HISTORY_STEPS, MODEL_STEP_S
@@ -107,18 +107,16 @@ def solve(
     given = BaselineOptions(weights=options.weights, device=options.device)
     prior = prior_of(given, "the solution stage")
     view = look(road, _scene(tracks, episode.target, begin, stride), map_view=prior.map_view)
-    outcome = search(
-        prior,
-        view,
-        _model_steps(around, view, stride),
-        steps,
-        options.draws,
-        options.rounds,
-        options.seed,
-    )
-    driven = drive(around, outcome.accel_mps2, outcome.curvature_1pm, stride)
+    others = _model_steps(around, view, stride)
+    searched = search(prior, view, others, steps, options.draws, options.rounds, options.seed)
+    slower = braked(tracks, episode.target, begin, steps, tracks.dt_s * stride)
+    accel = np.concatenate((searched.accel_mps2, slower[0]))
+    curvature = np.concatenate((searched.curvature_1pm, slower[1]))
+    driven = drive(around, accel, curvature, stride)
     free = usable(road, around, driven)
-    return _solution(begin * tracks.dt_s, contact * tracks.dt_s, driven, free, outcome.effort_mps2)
+    across = curvature * driven[:, stride::stride, 3] ** 2
+    effort = np.sqrt((accel**2 + across**2).mean(axis=1))
+    return _solution(begin * tracks.dt_s, contact * tracks.dt_s, driven, free, effort)
 
 
 def first_contact(tracks: Tracks, target: int) -> int:

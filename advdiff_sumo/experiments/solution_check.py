@@ -10,9 +10,14 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.bicycle import rollout
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.frames import unit
+from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
 
+BRAKES_MPS2 = np.arange(1.0, 8.25, 0.5)
+"""With which the target brakes on its recorded way …"""
+DELAYS_S = np.array([0.0, 1.0, 2.0])
+"""… after so long."""
 OFF_SHARE = 0.02
 """Most of the box that may be off the road, or as much as was already."""
 
@@ -74,6 +79,34 @@ def drive(
     xy, yaw, moving = rollout(start[:, :2], start[:, 2], speed, accel, curvature, around.dt_s)
     later = np.concatenate((xy, yaw[..., None], moving[..., None]), axis=-1)
     return np.concatenate((start[:, None], later), axis=1)
+
+
+def braked(
+    tracks: Tracks, target: int, begin: int, steps: int, step_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return accelerations and curvatures (K, S) that brake *target* on its recorded way, straight on beyond it.
+
+    It brakes by each of ``BRAKES_MPS2``, after each of ``DELAYS_S`` in which it keeps its speed.
+
+    Args:
+        tracks: the record.
+        target: its row.
+        begin: the first instant of the drives.
+        steps: S.
+        step_s: of the actions.
+    """
+    here = np.flatnonzero(tracks.valid[target, begin:]) + begin
+    along, yaw = stations_m(tracks.xy_m[target, here]), np.unwrap(tracks.yaw_rad[target, here])
+    brake, delay = (part.reshape(-1, 1) for part in np.meshgrid(BRAKES_MPS2, DELAYS_S))
+    accel = np.where(step_s * np.arange(steps) < delay - 1e-9, 0.0, -brake)
+    begun = np.full((len(brake), 1), max(float(tracks.speed_mps[target, begin]), 0.0))
+    speed = np.hstack((begun, np.maximum(begun + step_s * np.cumsum(accel, axis=1), 0.0)))
+    driven = np.where(
+        speed[:, 1:] > 0.0, step_s * speed[:, :-1] + 0.5 * accel * step_s**2, 0.5 * speed[:, :-1] ** 2 / brake
+    )
+    place = np.hstack((np.zeros_like(begun), np.cumsum(driven, axis=1)))
+    turned = np.diff(np.interp(place, along, yaw), axis=1)
+    return accel, turned / np.maximum(driven, 0.1)
 
 
 def usable(road: RoadMap, around: TargetSurroundings, states: FloatArray) -> BoolArray:

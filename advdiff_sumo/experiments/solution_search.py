@@ -36,12 +36,10 @@ class Drives:
     Attributes:
         accel_mps2: (K, S) accelerations.
         curvature_1pm: (K, S) curvatures.
-        effort_mps2: (K,) root mean square of the accelerations, across and along.
     """
 
     accel_mps2: FloatArray
     curvature_1pm: FloatArray
-    effort_mps2: FloatArray
 
 
 def search(
@@ -69,9 +67,7 @@ def search(
     both = [begun, *([_drive(optimised, batch, model)] if rounds else [])]
     accel = torch.cat([x.accel[:, 0] for x in both])
     curvature = torch.cat([x.curvature[:, 0] for x in both])
-    across = torch.cat([x.curvature[:, 0] * x.speed[:, 0] ** 2 for x in both])
-    effort = (accel.square() + across.square()).mean(1).sqrt()
-    return Drives(*(x.detach().cpu().numpy().astype(np.float64) for x in (accel, curvature, effort)))
+    return Drives(*(x.detach().cpu().numpy().astype(np.float64) for x in (accel, curvature)))
 
 
 def _forced(others: FloatArray, view: View, device: torch.device) -> Forced:

@@ -12,7 +12,7 @@ from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.experiments.solution import SolveOptions, first_contact, solve
-from advdiff_sumo.experiments.solution_check import drive, surroundings, usable
+from advdiff_sumo.experiments.solution_check import BRAKES_MPS2, DELAYS_S, braked, drive, surroundings, usable
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
 from tests.traffic.small_networks import downtown, one_thread, weights
@@ -76,7 +76,7 @@ def test_nobody_gets_out_from_between_two_walls(downtown: RoadMap, weights: str)
     assert not made.solvable
     assert made.states is None
     assert made.free == 0
-    assert made.tried == 2 * (2 + 8)
+    assert made.tried == 2 * (2 + 8) + len(BRAKES_MPS2) * len(DELAYS_S)
 
 
 def test_the_search_finds_what_no_start_is(downtown: RoadMap, weights: str) -> None:
@@ -87,6 +87,22 @@ def test_the_search_finds_what_no_start_is(downtown: RoadMap, weights: str) -> N
     some = solve(episode, downtown, SolveOptions(weights=weights, draws=2, rounds=30))
     assert some.free > none.free
     assert some.solvable
+
+
+def test_braking_on_the_recorded_way_keeps_to_it_and_stops_where_it_must(downtown: RoadMap) -> None:
+    """At 10 m/s on a quarter circle of 40 m: 5 m/s² stop it after 10 m; after a second of delay, after 20 m."""
+    angle = 0.1 * 10.0 / 40.0 * np.arange(61)
+    tracks = drives(downtown, [(20.0, 0.0, 10.0)], 6.0)
+    tracks.xy_m[0] = 40.0 * np.stack((np.sin(angle), 1.0 - np.cos(angle)), axis=-1)
+    tracks.yaw_rad[0] = angle
+    accel, curvature = braked(tracks, 0, 0, 10, 0.5)
+    assert accel.shape == curvature.shape == (45, 10)
+    driven = drive(surroundings(tracks, 0, 0, 50), accel, curvature, 5)
+    radius = np.linalg.norm(driven[..., :2] - [0.0, 40.0], axis=-1)
+    np.testing.assert_allclose(radius, 40.0, atol=0.02)
+    for row, metres in ((8, 10.0), (15 + 8, 20.0)):
+        assert driven[row, -1, 3] == 0.0
+        assert 40.0 * driven[row, -1, 2] == pytest.approx(metres, abs=0.05)
 
 
 def test_the_check_sees_contact_and_the_roads_edge(downtown: RoadMap) -> None:

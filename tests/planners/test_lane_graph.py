@@ -156,6 +156,19 @@ def test_a_turn_is_slow_enough(crossing: Maker) -> None:
     assert (turn * out.speed_mps[0, 1:]).max() < 4.5
 
 
+@pytest.mark.parametrize("to", ["east_out", "west_out"])
+@pytest.mark.parametrize(("before_m", "speed_mps"), [(0.0, 12.0), (2.0, 14.0), (6.0, 14.0)])
+def test_who_is_too_fast_before_a_turn_brakes_in_earnest_and_stays_on_the_road(
+    crossing: Maker, before_m: float, speed_mps: float, to: str
+) -> None:
+    road = crossing("traffic_light")
+    car = Car("south_in_0", road.lanes["south_in_0"].length_m - before_m, speed_mps)
+    out = roll(road, LaneGraphPlanner(), make_scene(road, [car], ("south_in", to), {"c": "G" * 40}), 6.0)
+    boxes = corners(out.xy_m[0], out.yaw_rad[0], np.array(CAR_M))
+    assert road.off_road_share(boxes).max() < 0.02
+    assert abs(out.xy_m[0, -1, 0]) > 10.0
+
+
 def test_it_changes_to_the_lane_that_its_route_needs(crossing: Maker) -> None:
     road = crossing()
     left_turn = max(

@@ -3,9 +3,10 @@
 Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes, or with its
 front bumper beside the lane that SUMO holds it on, nobody sees it, and with sublanes a step can end the process, so it
 is taken out of SUMO until it comes back to a lane (our own states go on); removed straight after a move, a vehicle can
-end a step, too, so that it is left to SUMO for one before; a moved vehicle loses its route unless it is given the edges
-that it is about to drive; its speed, as others see it, is clipped to the lane's limit times its speed factor; and with
-a stop ahead it is the speed of SUMO's own driver, so that followers run into who stands, and stops are set aside.
+end a step, too, so that it is left to SUMO for one before; on a junction it needs a route over the junction's lane,
+and cannot be given another; a moved vehicle loses its route unless it is given the edges that it is about to drive; its
+speed, as others see it, is clipped to the lane's limit times its speed factor; and with a stop ahead it is the speed of
+SUMO's own driver, so that followers run into who stands, and stops are set aside.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class Actuator:
     outside: set[int] = field(default_factory=set)
     refused: set[int] = field(default_factory=set)
     _leaving: set[int] = field(default_factory=set)
+    _before: dict[int, tuple[str, ...]] = field(default_factory=dict)
     _entries: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -108,16 +110,14 @@ class Actuator:
         Raises:
             NotInsertedError: the net has no lane to put it on, or SUMO refuses it.
         """
-        xy, yaw = self.world.xy_m[row], float(self.world.yaw_rad[row])
         vclass = VCLASS_OF_CLASS[AgentClass(int(self.world.classes[row]))]
-        pose = self.road.locate(xy, yaw, vclass=vclass, max_distance_m=np.inf)
         name = self._fresh_name(row)
-        if pose is None:
+        place = self._entrance(row, vclass)
+        if place is None:
             raise NotInsertedError(f"no lane of {self.road.name} is open to '{name}', a {vclass}")
-        point, along = self.road.to_world(pose.lane_id, pose.s_m)
-        front = bumper_from_centre(point, along, self.world.size_m[row, 0])
+        lane_id, front, along = place
         try:
-            self.api.route.add(f"insert:{name}", [self.road.edge_of(pose.lane_id)])
+            self.api.route.add(f"insert:{name}", self._edges_at(lane_id))
             self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
             self._set_size(name, row)
             # keepRoute 0 before it departs would give it this route again and again, whatever setRoute says
@@ -129,6 +129,32 @@ class Actuator:
             raise NotInsertedError(f"SUMO refuses to insert '{name}': {error}") from error
         self.moved[row] = MovedVehicle(1.0, _FREE_MAX_SPEED, inserted=False)
         self.outside.discard(row)
+
+    def _entrance(self, row: int, vclass: str) -> tuple[str, FloatArray, float] | None:
+        """Return the lane nearest to *row*, and the front bumper (2,) and heading that it would have in its middle.
+
+        Who has just been taken out gets the lane on which its bumper is: one that leads on from where it was, if any.
+        """
+        xy, yaw, length = self.world.xy_m[row], self.world.yaw_rad[row], self.world.size_m[row, 0]
+        before = self._before.pop(row, None)
+        if before is None:
+            pose = self.road.locate(xy, float(yaw), vclass=vclass, max_distance_m=np.inf)
+        else:
+            bumper = bumper_from_centre(xy, yaw, length)
+            pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf, route=before)
+            if pose is not None and abs(pose.d_m) > 0.5 * self.road.lanes[pose.lane_id].width_m:
+                pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf)
+        if pose is None:
+            return None
+        point, along = self.road.to_world(pose.lane_id, pose.s_m)
+        front = bumper_from_centre(point, along, length) if before is None else point
+        return pose.lane_id, front, float(along)
+
+    def _edges_at(self, lane_id: str) -> list[str]:
+        """Return the shortest route on which SUMO has *lane_id*: of a junction's lane, the edges that it connects."""
+        link = self.road.link_over.get(lane_id)
+        ends = (lane_id,) if link is None else (link.from_lane, link.to_lane)
+        return [self.road.edge_of(lane) for lane in ends]
 
     def _set_size(self, name: str, row: int) -> None:
         """Give *name* its own size in place of its type's, by which SUMO knows where its rear is."""
@@ -165,18 +191,29 @@ class Actuator:
         self.outside.discard(row)
         self._leave(row)
 
-    def leave_lanes(self) -> None:
+    def leave_lanes(self) -> IntArray:
         """Take those out of SUMO that its last step has off the lanes, or beside the lane that it holds them on.
 
-        And those that it was to keep for that step only (:meth:`_leave`).
+        And those that it was to keep for that step only (:meth:`_leave`). Returns the rows of the former.
         """
         for row in sorted(self._leaving & self.world.in_sumo):
             self._drop(row)
         self._leaving.clear()
-        for row in [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]:
+        beside = [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]
+        for row in beside:
             del self.moved[row]
+            self._before[row] = self._ways_on(self.world.lane[row])
             self._drop(row)
             self.outside.add(row)
+        return np.array(beside, dtype=np.int64)
+
+    def _ways_on(self, lane_id: str) -> tuple[str, ...]:
+        """Return edges among which is each that *lane_id*, or who is on it of a junction, comes from and leads to."""
+        link = self.road.link_over.get(lane_id)
+        if lane_id not in self.road.lanes:
+            return ()
+        edge = self.road.edge_of(lane_id if link is None else link.from_lane)
+        return tuple(x for onward in self.road.edges[edge].successors for x in (edge, onward)) or (edge,)
 
     def _on_its_lane(self, row: int) -> bool:
         """Return whether SUMO has the front bumper's centre of *row* within its lane.

@@ -272,7 +272,8 @@ class Loop:
             if row in moved and moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
                 moved.pop(row)
                 self.actuator.outside.add(row)
-        self.actuator.leave_lanes()
+        beside = self.actuator.leave_lanes()
+        self.entering |= self.actuator.on_lanes(beside, self.world.xy_m[beside], self.world.yaw_rad[beside])
         self.recorder.note(self.api)
 
     def _touches(self, before: Frame, now: Frame) -> bool:

@@ -344,6 +344,49 @@ def test_who_is_inserted_has_its_own_size_for_those_behind(street: Path) -> None
         assert front + gap + s.api.vehicle.getMinGap("behind") == pytest.approx(144.0)
 
 
+def test_who_is_inserted_on_a_junction_is_there_for_those_behind(crossing: Path) -> None:
+    """It stands in the middle of a crossing that somebody comes to from the same side, who stops."""
+    with stage(crossing) as s:
+        s.add("behind", ("WC", "CE"), at=60, speed=9)
+        s.session.step()
+        actuator = actuator_on(s, crossing)
+        row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
+        at = np.array([row]), np.array([[0.0, -1.6]]), np.array([EAST]), np.array([0.0])
+        actuator.world.set_state(*at, Controller.POLICY)
+        actuator.insert(row, "car")
+        move(actuator, s, row, (0.0, -1.6), EAST)
+        assert s.api.vehicle.getRoadID("b").startswith(":C")
+        assert s.api.vehicle.getRoute("b") == ("WC", "CE")
+        for _ in range(150):
+            move(actuator, s, row, (0.0, -1.6), EAST)
+        assert row in actuator.moved
+        front = s.pose("behind")[0][0] + 0.5 * LENGTH_M
+        assert -8.0 < front < -0.5 * LENGTH_M
+
+
+def test_who_turns_otherwise_than_sumo_expects_is_taken_out_and_inserted_on_its_way(crossing: Path) -> None:
+    """SUMO has it going straight on from the west, while it turns to the south."""
+    with stage(crossing) as s:
+        s.add("b", ("WC", "CE"), at=80)
+        s.session.step()
+        actuator = actuator_on(s, crossing)
+        actuator.take(0)
+        actuator.predict_route(0, ("WC", "CE"))
+        turn = np.linspace(0.0, 0.5 * np.pi, 24)
+        for angle in turn:
+            x, y = -6.0 + 5.0 * np.sin(angle), -6.6 + 5.0 * np.cos(angle)
+            if 0 in actuator.outside and actuator.on_lanes(np.array([0]), *_now(actuator)):
+                actuator.insert(0, "car")
+            move(actuator, s, 0, (float(x), float(y)), -float(angle), 3.0)
+        assert actuator.world.sumo_ids[0] == "b~1", "it was taken out once"
+        assert 0 in actuator.moved
+        assert s.api.vehicle.getRoute("b~1") == ("WC", "CS")
+
+
+def _now(actuator: Actuator) -> tuple[np.ndarray, np.ndarray]:
+    return actuator.world.xy_m[[0]], actuator.world.yaw_rad[[0]]
+
+
 def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
     """Removed straight after a move, a vehicle may stay in the lane beside its own as one that reaches into it."""
     with stage(street) as s:

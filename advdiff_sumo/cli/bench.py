@@ -67,7 +67,7 @@ def traffic(
         list[Path] | None,
         typer.Option(
             help="Window file, or a folder of them; may be given several times.",
-            show_default="made for it, on shipped and made-up nets",
+            show_default="made for it, on shipped and random nets",
         ),
     ] = None,
     policies: Policies = None,

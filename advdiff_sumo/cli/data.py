@@ -43,7 +43,7 @@ def simulate(
     ] = None,
     windows: Annotated[int, typer.Option(min=1, help="How many windows in all.")] = 24_000,
     random_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of the windows on nets made up for them.")
+        float, typer.Option(min=0.0, max=1.0, help="Share of the windows on random nets.")
     ] = 0.5,
     map_view: _MapView = "near",
     driven_by: Annotated[

@@ -70,7 +70,7 @@ def run(
     quiet: flags.Quiet = False,
     as_json: flags.Json = False,
 ) -> None:
-    """Run episodes of a tested vehicle in traffic, and write what happened.
+    """Run episodes of a target in traffic, and write what happened.
 
     Without options: ten episodes of SUMO's IDM driver in the shipped downtown. Another example:
 

@@ -22,7 +22,7 @@ Net: TypeAlias = Annotated[
 Target: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What drives the tested vehicle: IDM, Krauss, …, lane_graph, package.module:Class, grpc://HOST:PORT, "
+        help="What drives the target: IDM, Krauss, …, lane_graph, package.module:Class, grpc://HOST:PORT, "
         "or exec:COMMAND.",
         show_default="IDM",
     ),
@@ -30,7 +30,7 @@ Target: TypeAlias = Annotated[
 Background: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What moves the others: sumo, replay, scripted, diffusion, …, or package.module:Class.",
+        help="What moves the background vehicles: sumo, replay, scripted, diffusion, …, or package.module:Class.",
         show_default="sumo",
     ),
 ]
@@ -103,7 +103,7 @@ Guide: TypeAlias = Annotated[
 Weights: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="diffusion: trained networks, or shipped ones: closed-loop (usual) or traffic (usual for a reckless one).",
+        help="diffusion: trained weights, or shipped ones: closed-loop (usual) or traffic (usual for a reckless one).",
         show_default="the shipped ones",
     ),
 ]
@@ -120,7 +120,7 @@ Defect: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--defect",
-        help="Plant a fault in the target, as NAME:SEVERITY: late:1.0, range:strong; may be given several times.",
+        help="Plant a defect in the target, as NAME:SEVERITY: late:1.0, range:strong; may be given several times.",
     ),
 ]
 Check: TypeAlias = Annotated[

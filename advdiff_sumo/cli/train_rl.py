@@ -30,7 +30,7 @@ def train_rl(
     ] = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(help="What drives the tested vehicle; may be given several times.", show_default="IDM"),
+        typer.Option(help="What drives the target; may be given several times.", show_default="IDM"),
     ] = None,
     steps: Annotated[
         int,

@@ -35,7 +35,8 @@ def verdict(
     target: Annotated[
         str,
         typer.Option(
-            help="Road user of a scenario to judge.", show_default="the exported target, or the log's ego"
+            help="Road user of a scenario to judge.",
+            show_default="the exported target, or the log's recording vehicle",
         ),
     ] = "",
     as_json: flags.Json = False,

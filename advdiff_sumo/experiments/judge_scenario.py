@@ -157,7 +157,7 @@ def _imported(path: Path) -> ImportedScene | None:
 
 def _scenario(name: str, source: Path, tracks: Tracks, usual: int, asked: str | None) -> Scenario:
     if tracks.dt_s > COARSEST_STEP_S:
-        problem = f"has a state every {tracks.dt_s:g} s, too seldom to see contacts"
+        problem = f"has a state every {tracks.dt_s:g} s, too seldom to see collisions"
         raise FileError(source, problem, f"give one with a state every {COARSEST_STEP_S:g} s or more often")
     if asked is not None and asked not in tracks.index:
         raise FileError(source, f"has no road user '{asked}'", did_you_mean(asked, tracks.ids))

@@ -73,12 +73,14 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
     ),
     "critical_brake_mps2": _real("m/s²", "braking that a reference driver needs, at most 9"),
     "resolved_by": _text(
-        "party that avoided the contact: target, other, both; empty if the record ends before"
+        "party that avoided the collision: target, other, both; empty if the record ends before"
     ),
 }
 
 OFFENCE_COLUMNS: Mapping[str, Column] = {
-    "offences": _text("rules that the target broke, contact or not; empty: unknown, as in earlier versions"),
+    "offences": _text(
+        "rules that the target broke, collision or not; empty: unknown, as in earlier versions"
+    ),
     "offences_text": _text("the broken rules as a sentence, with times"),
 }
 
@@ -90,9 +92,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "duration_s": _real("s", "simulated time", nullable=False),
     "route": _text("edges of the target's route, separated by blanks"),
     "agents": _count("number of road users in the record, the target included"),
-    "target_collision": _flag(
-        "the target hit something or left the road; overlaps at the start do not count"
-    ),
+    "target_collision": _flag("the target collided or left the road; overlaps at the start do not count"),
     "collision_time_s": _real("s", "first contact, since the episode's start"),
     "collision_partner": _text("id of the other; empty when the target left the road"),
     "collision_type": _text(
@@ -114,12 +114,12 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "impact_left_m": _real("m", "impact point from the target's centre"),
     "initial_overlaps": _count("pairs that overlapped when first there together"),
     "sumo_collisions": _count("SUMO's own collision list: pairs at an instant"),
-    "sumo_only": _count("of these, pairs whose boxes do not touch"),
+    "sumo_only": _count("of these, pairs whose boxes do not overlap"),
     "ours_only": _count("pairs at an instant that only we list"),
     "sumo_disagreements": _count("sumo_only plus ours_only"),
     "teleports": _count("vehicles that SUMO teleported"),
     "rough_handovers": _count("vehicles handed back to SUMO unaligned after 8 s"),
-    "skipped_agents": _count("agents left to SUMO because their log continues out of reach"),
+    "skipped_agents": _count("road users left to SUMO because their log continues out of reach"),
     "refused_insertions": _later_count("moved vehicles that SUMO refused to insert"),
     "implausible_plans": _later_count("plans of the target that no vehicle can drive"),
     "implausible_plan": _text("what is wrong with the first of these, as in check-planner"),
@@ -133,7 +133,7 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "min_ttc_partner": _text("the vehicle of min_ttc_s"),
     "min_lane_ttc_s": _real("s", "least time to collision with the vehicle ahead in the lane"),
     "min_pet_s": _real("s", "least post-encroachment time, up to 10 s"),
-    "max_drac_mps2": _real("m/s²", "greatest deceleration needed not to hit the vehicle ahead"),
+    "max_drac_mps2": _real("m/s²", "greatest deceleration needed not to run into the vehicle ahead"),
     "min_clearance_m": _real("m", "least distance of boxes; 0 in a collision"),
     "min_clearance_partner": _text("the vehicle of min_clearance_m"),
     "min_clearance_time_s": _real("s", "time of min_clearance_m, since the episode's start"),
@@ -182,8 +182,8 @@ COLLISION_COLUMNS: Mapping[str, Column] = {
     "impact_y_m": _real("m", "impact point in the net", nullable=False),
     "impact_ahead_m": _real("m", "impact point from the first's centre"),
     "impact_left_m": _real("m", "impact point from the first's centre"),
-    "first_face": _text("what was hit of each box: front, rear, left or right"),
-    "second_face": _text("what was hit of each box: front, rear, left or right"),
+    "first_face": _text("side of each box at contact: front, rear, left or right"),
+    "second_face": _text("side of each box at contact: front, rear, left or right"),
     "penetration_m": _real("m", "deepest overlap within the step of the contact"),
 }
 

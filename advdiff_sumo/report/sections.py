@@ -215,7 +215,7 @@ def _outcome(row: Row) -> str:
         return f"A careful driver would have had to brake at {brake}; {resolved(row['resolved_by'])}."
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
-        return f"No contact; the least gap was {gap}."
+        return f"No collision; the least gap was {gap}."
     visible = row["attacker_visible"]
     perception = (
         ""

@@ -32,7 +32,7 @@ STATE_COLUMNS: Mapping[str, Column] = {
         "who moved it in this step: sumo, policy, planner, or replayed (its log)",
         nullable=False,
     ),
-    "is_target": Column("bool", "", "whether it is the tested vehicle", nullable=False),
+    "is_target": Column("bool", "", "whether it is the target", nullable=False),
 }
 PLAN_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),

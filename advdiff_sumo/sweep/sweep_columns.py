@@ -23,7 +23,7 @@ JOB_COLUMNS: Mapping[str, Column] = {
     "key": _text("of its content; advdiff-sumo replay takes it"),
     "scene_key": _text("of its seed scene; the same for all targets and backgrounds"),
     "net": _text("where: shipped nets by name, others by their path"),
-    "target": _text("what drove the tested vehicle"),
+    "target": _text("what drove the target"),
     "target_options": _text("its options as JSON"),
     "background": _text("what moved the others"),
     "background_options": _text("its options as JSON"),

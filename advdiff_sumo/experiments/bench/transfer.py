@@ -50,7 +50,7 @@ LEARNT = "its failures learnt by a warm-up (ours; Q stays)"
 NOTES = (
     "A row is a policy and what it was adapted to: {ours}, expected as the target (AdvSim, Strive), or trained against "
     "(Adv-RL: the rule-based planner, and IDM). AV CR: share of episodes in which the target collides; BV CR: share of "
-    "moved background vehicles that hit another one or leave the road. Intervals: "
+    "moved background vehicles that collide with another one or leave the road. Intervals: "
     "Wilson, 95 %.",
 )
 

@@ -134,7 +134,7 @@ _KINDS = (
     DefectKind(
         "blind-heavy",
         "lorries and buses not recognised: rare in the training data",
-        "distance beyond which trucks and buses are not seen",
+        "distance beyond which lorries and buses are not seen",
         "m",
         (20.0, 10.0, 0.0),
         (0.0, 500.0),

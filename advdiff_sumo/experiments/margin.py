@@ -98,7 +98,7 @@ class Trial:
         value: of the severity.
         failed: whether the target failed validly.
         met: whether the encounter took place at all; where it failed, whether it met who attacks, and nobody else.
-        left_road: whether it failed by leaving the road, which it does without touching anybody.
+        left_road: whether it failed by leaving the road, which it does without colliding with anybody.
         lacks: why no encounter took place, in words; "" where that is not known.
     """
 

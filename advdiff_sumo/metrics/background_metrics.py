@@ -15,7 +15,7 @@ class SumoComparison:
 
     Attributes:
         listed: entries of SUMO's list, a pair at an instant counted once.
-        sumo_only: listed by SUMO while the boxes neither overlap nor touched in the step before.
+        sumo_only: listed by SUMO while the boxes neither overlap nor did in the step before.
         ours_only: overlaps that SUMO did not list.
     """
 

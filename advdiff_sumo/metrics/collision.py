@@ -24,7 +24,7 @@ SAME_AXIS_RAD = 0.17
 
 @dataclass(frozen=True)
 class Collision:
-    """One contact of two agents, from first touch until they part.
+    """One collision of two agents, from first contact until they part.
 
     Attributes:
         rows: their rows; the target first when it takes part, else in ascending order.
@@ -32,13 +32,13 @@ class Collision:
         fraction: share of the step from there, in [0, 1).
         time_s: when, since the episode's start.
         point_m: (2,) centroid of the contact region.
-        penetration_m: deepest overlap within the step of the touch.
+        penetration_m: deepest overlap within the step of the contact.
         initial: the agents overlapped already when they were first there together (logs, insertions).
         xy_m: (2, 2) centres at the contact, in the order of *rows*.
         yaw_rad: (2,) headings at the contact.
         velocity_mps: (2, 2) velocities over the step of the contact.
         normal: (2,) unit contact normal, from the first agent to the second.
-        faces: contact feature of each agent: "front", "rear", "left", "right".
+        faces: side of each agent at the contact: "front", "rear", "left", "right".
     """
 
     rows: tuple[int, int]
@@ -72,13 +72,13 @@ class Collision:
 
 @dataclass(frozen=True)
 class Touches:
-    """Steps in which pairs touch, sorted by pair and step; M entries.
+    """Steps in which pairs are in contact, sorted by pair and step; M entries.
 
     Attributes:
         first: (M,) lower row.
         second: (M,) higher row.
         step: (M,) instant before.
-        fraction: (M,) share of the step until they touch; 0 when they touch already.
+        fraction: (M,) share of the step until contact; 0 when they overlap already.
         end_gap_m: (M,) gap at the end of the step, negative where the boxes overlap.
     """
 

@@ -27,13 +27,13 @@ _Scalars: TypeAlias = tuple[float, float, float, float, float, float, float, flo
 
 @dataclass(frozen=True)
 class Contact:
-    """A first touch of two boxes within a step.
+    """The first contact of two boxes within a step.
 
     Attributes:
         row: row of the partner.
         fraction: when, as a share of the step in [0, 1).
         point_m: (2,) centroid of the contact region, world frame.
-        penetration_m: deepest overlap from the touch to the end of the step (the least translation that
+        penetration_m: deepest overlap from the contact to the end of the step (the least translation that
             parts the boxes).
     """
 

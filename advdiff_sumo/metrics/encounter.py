@@ -45,7 +45,7 @@ class Party:
         name: its id.
         agent_class: what it is.
         speed_mps: signed speed at the instant before the contact.
-        face: what was hit: "front", "rear", "left", "right".
+        face: its side at the contact: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
         first_lane: of these, the lane at the first instant at which it is there; None where no lane is near then.
         wrong_way: whether it drives, not walks, against its lane's direction.
@@ -105,10 +105,10 @@ class JunctionEntry:
 
 @dataclass(frozen=True)
 class Encounter:
-    """A contact of two road users with its circumstances.
+    """A collision of two road users with its circumstances.
 
     Attributes:
-        collision: the contact.
+        collision: the collision itself.
         target: the first of the two: the tested vehicle, where it takes part.
         other: its partner.
         junction: id of the junction on which it happened, or None.

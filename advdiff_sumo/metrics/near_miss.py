@@ -54,14 +54,14 @@ class ResolvedBy(StrEnum):
 
 @dataclass(frozen=True)
 class NearMiss:
-    """An encounter without contact.
+    """An encounter without a collision.
 
     Attributes:
         row: the other.
         time_s: instant of the least time to collision with it, since the episode's start.
         brake_mps2: how hard a reference driver would have had to brake; 0 where it needed not, or where braking is
             not the answer.
-        resolved_by: who acted so that it did not come to a contact; None where the record ends before it is
+        resolved_by: who acted so that it did not come to a collision; None where the record ends before it is
             resolved.
     """
 

@@ -89,10 +89,10 @@ class EpisodeMetrics:
     Attributes:
         contacts: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
-        left_road: when the target left the road, unless it was hit before.
+        left_road: when the target left the road, unless it had collided before.
         near_miss: of an episode without a collision of the target, what asks for the hardest braking; None where
             nothing came near.
-        offences: rules that the target broke of itself, contact or not.
+        offences: rules that the target broke of itself, collision or not.
         sumo: SUMO's list against ours.
         criticality: how near it came.
         comfort: how the ride felt.

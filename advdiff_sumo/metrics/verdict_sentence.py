@@ -33,7 +33,7 @@ def sentence_of(
     """Return what happened, what a careful driver would have done, and who broke which rule.
 
     Args:
-        met: the contact.
+        met: the collision with its circumstances.
         breaches: of the target and of the other.
         fault: who caused it.
         drive: of the legal yardstick among the reference drivers; None where there is none.
@@ -81,7 +81,7 @@ def _driver(met: Encounter, drive: ReferenceDrive | None, preventable_by: Sequen
         by = "" if partner else f" by '{drive.contact_with}'"
         return f"even {who} {braking}is run into{by} at {drive.impact_mps:.1f} m/s{others}"
     hit = "it" if partner else f"'{drive.contact_with}'"
-    return f"even {who} {braking}hits {hit} at {drive.impact_mps:.1f} m/s{others}"
+    return f"even {who} {braking}collides with {hit} at {drive.impact_mps:.1f} m/s{others}"
 
 
 def _stands_at_contact(drive: ReferenceDrive) -> bool:

@@ -18,7 +18,7 @@ _TRAIL_TOLERANCE = 1e-3  # of the map's width
 
 @dataclass(frozen=True)
 class FailurePlace:
-    """Where the target was hit or left the road.
+    """Where the target collided or left the road.
 
     Attributes:
         episode: its number.

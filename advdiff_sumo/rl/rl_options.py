@@ -15,11 +15,11 @@ class RewardWeights(Options):
     """Weights of the reward's terms, all counted per model step of 0.5 s; see ``rl.adversary_reward``.
 
     Attributes:
-        hit: the attacker and the target touch.
-        hit_by_other: the target touches somebody else.
-        near: nearness to the target, 1 where the boxes touch, 1/e at ``near_m``.
+        hit: the attacker and the target collide.
+        hit_by_other: the target collides with somebody else.
+        near: nearness to the target, 1 at contact, 1/e at ``near_m``.
         near_m: length of that nearness.
-        touch: the attacker touches another road user than the target.
+        touch: the attacker collides with another road user than the target.
         off_road: share of the attacker's box off the road.
         jerk: squared jerk in units of 10 m/s³, at most 4.
         align: squared deviation from the behaviour model's action.

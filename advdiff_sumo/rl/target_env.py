@@ -34,7 +34,7 @@ class TargetRewards(Options):
 
     Attributes:
         progress: a metre of way; metres beyond what the lane's speed limit allows are not paid.
-        collision: a contact with anybody; it ends the episode.
+        collision: one with anybody; it ends the episode.
         off_road: the share of the box off the road.
         leaving: more than half the box off the road; it ends the episode.
         effort: squared action.

@@ -20,8 +20,8 @@ class CoverageCell:
     """One combination.
 
     Attributes:
-        episodes: those with an outcome (finished, or failed after a contact) whose critical moment was of this kind.
-        collisions: how many of these hit.
+        episodes: those with an outcome (finished, or failed after a collision) whose critical moment was of this kind.
+        collisions: in how many of these the target collided.
     """
 
     episodes: int

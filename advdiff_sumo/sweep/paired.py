@@ -81,7 +81,7 @@ class Comparison:
     """Two runs or sweeps, paired.
 
     Attributes:
-        pairs: episodes with an outcome in both: finished, or failed after a contact of the target.
+        pairs: episodes with an outcome in both: finished, or failed after a collision of the target.
         scenes: seed scenes among them; the bootstrap draws these.
         unpaired: episodes of either without a counterpart that has an outcome.
         rates: by name.

@@ -53,7 +53,7 @@ class Figures:
     Attributes:
         episodes: with a row, finished or not, and those that failed without one.
         rates: by name; those of failures out of all episodes, the others out of those with an outcome (and a verdict):
-            finished, or failed after a contact of the target.
+            finished, or failed after a collision of the target.
         medians: over the episodes with an outcome in which the value is defined.
         missing: episodes that have not been run.
     """

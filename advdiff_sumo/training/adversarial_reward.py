@@ -23,7 +23,7 @@ class Payoff:
 
     Attributes:
         reward: (B,) R_adv − P_coll; R_adv is 1 on contact.
-        contact: (B,) whether a background vehicle touched the target.
+        contact: (B,) whether a background vehicle collided with the target.
     """
 
     reward: Tensor

@@ -38,16 +38,16 @@ class BackgroundTrace:
 
     Attributes:
         vehicles: background vehicles that the policy moved; with background sumo, those that came near.
-        hit: of these, how many ran into another background vehicle.
+        hit: of these, how many collided with another background vehicle.
         off_road: of these, how many came to be off the road; None where nobody was moved.
         speed: counts of their speeds near the target, at 2 Hz.
         accel: the same of accelerations, differences of speed over 0.5 s.
         ttc: the same of the least time to collision with anybody else; the last bin is none in 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
         seconds: vehicle-seconds that they are of; 0 where they were not asked for.
-        solvable: where the target hit somebody and it was asked for, whether it could have driven otherwise, see
+        solvable: where the target collided and it was asked for, whether it could have driven otherwise, see
             ``experiments.solution``.
-        both: how many of the vehicles both ran into another one and came to be off the road.
+        both: how many of the vehicles both collided with another one and came to be off the road.
     """
 
     vehicles: int

@@ -24,7 +24,7 @@ class Touch:
         name: id of the other.
         closing_mps: speed at which the boxes approach along their contact normal.
         from_behind: the other's centre is behind the drive's rear at that instant.
-        from_start: the two touched already as the drive began.
+        from_start: the two overlapped already as the drive began.
     """
 
     step: int

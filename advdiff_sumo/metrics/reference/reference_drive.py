@@ -48,10 +48,10 @@ class ReferenceDrive:
         model: name of the model.
         takeover_step: instant of the record at which it takes over: the first of the T.
         states: (T,) its states, the first of which is the target's at the takeover. They reach beyond the record's
-            end until it stands, or has met the last of those whom it touches, at most ``AFTER_S``; the others go on
+            end until it stands, or has met the last of those whom it runs into, at most ``AFTER_S``; the others go on
             as they last did.
         accel_mps2: (T,) acceleration from each instant on.
-        touches: its first contact with each of those whom it touches, in their order.
+        touches: its first contact with each of those with whom it collides, in their order.
         spare_m: least gap to the other party of the collision; 0 on contact.
         spare_s: least time in which it would have met anybody ahead had all gone on as they did, at most
             ``PERCEPTION_S``.
@@ -72,7 +72,7 @@ class ReferenceDrive:
 
     @property
     def contact_with(self) -> str | None:
-        """Id of who it touches first."""
+        """Id of who it collides with first."""
         return self.touches[0].name if self.touches else None
 
     @property

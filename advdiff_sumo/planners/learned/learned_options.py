@@ -16,7 +16,7 @@ class LearnedOptions(Options):
         agents: road users that the networks see, the nearest ones.
         route: whether the model's speeds are also tried along the route's lanes; without it the target drives
             where the model would go, which knows no route.
-        brakes: whether braking by 2, 4 and 8 m/s² is tried where every sample would hit something.
+        brakes: whether braking by 2, 4 and 8 m/s² is tried where it would collide in every sample.
     """
 
     weights: str = ""

@@ -43,8 +43,8 @@ class StriveOptions(BaselineOptions):
         temperature: of the latents that the search starts from: 0 is the prior's mean, 1 a draw from it.
         persistence: how much of a vehicle's latent, as the search left it, the next plan starts from.
         adversarial: weight of the squared distance to the target, soft over vehicles and time.
-        vehicles: weight of vehicles that touch each other.
-        target: weight of vehicles that touch the target although they do not attack.
+        vehicles: weight of vehicles that collide with each other.
+        target: weight of vehicles that collide with the target although they do not attack.
         road: weight of leaving the road.
         prior: weight of latents that the prior finds unlikely.
         prior_attacker: the same for who attacks.

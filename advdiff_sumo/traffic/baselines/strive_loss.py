@@ -26,8 +26,8 @@ class Terms:
     Attributes:
         total: weighted sum.
         adversarial: squared distance to the target, soft over vehicles and time, m².
-        vehicles: mean overlap of vehicles that touch.
-        target: mean overlap with the target of those who touch it, less for who attacks.
+        vehicles: mean overlap of vehicles that collide.
+        target: mean overlap with the target of those who collide with it, less for who attacks.
         road: mean share over the edge of those who leave the road.
         prior: half the squared deviation from the prior, mean over vehicles, less for who attacks.
         start: squared distance from the natural latents, sum over vehicles, less for who attacks.

@@ -62,12 +62,12 @@ class DiffusionOptions(Options):
         pace: how much more briskly natural plans are driven than the networks alone would, see ``planning.pace``; 1 is
             about as fast as SUMO's drivers, 0 nothing; None: 0 under "reckless", as in the paper, else 1.
         replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
-        samples: joint futures drawn at once, of which the most plausible is driven, in which attackers may touch the
+        samples: joint futures drawn at once, of which the most plausible is driven, in which attackers may run into the
             target.
-        weights: a bundle of networks, or the name of a shipped one; empty: "closed-loop", which drives most like
+        weights: a file of weights, or the name of shipped ones; empty: "closed-loop", which drives most like
             people, or, of a reckless one, "traffic", whose decoder is the paper's.
         reward: what ``advdiff-sumo warmup`` has learned of the target: which encounters to go for, or, of a reckless
-            one, a reward model in place of the bundle's; empty: nothing.
+            one, a reward model in place of the weights'; empty: nothing.
         device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
     """
 

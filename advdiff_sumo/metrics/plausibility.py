@@ -33,10 +33,10 @@ class Implausibility:
     Attributes:
         vehicle: its name.
         time_s: when it did so most, since the episode's start.
-        what: "off the road", "contact", "drove through", "acceleration", "braking", "lateral acceleration", "jerk".
+        what: "off the road", "collision", "drove through", "acceleration", "braking", "lateral acceleration", "jerk".
         value: how much.
         unit: of the value.
-        other: the other vehicle of a contact, else "".
+        other: the other vehicle of a collision, else "".
     """
 
     vehicle: str
@@ -67,7 +67,7 @@ def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Implausibilit
             continue
         both = (touches.first == min(hit.rows)) & (touches.second == max(hit.rows))
         depth = float(max(0.0, -touches.end_gap_m[both & (touches.step >= hit.step)].min()))
-        what = "drove through" if depth > THROUGH_M else "contact"
+        what = "drove through" if depth > THROUGH_M else "collision"
         yield Implausibility(tracks.ids[own], hit.time_s, what, depth, "m", tracks.ids[other])
 
 

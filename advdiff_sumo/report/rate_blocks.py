@@ -29,7 +29,7 @@ def headline(episodes: Sequence[Mapping[str, Any]], unstarted: int = 0) -> tuple
     """Return the rates that a report begins with.
 
     Failed episodes count in the rate of failures alone, as what would have happened in them is not known, unless the
-    target had a contact before. Whether the target saw the other party is known of targets that SUMO drives; without
+    target had collided before. Whether the target saw the other party is known of targets that SUMO drives; without
     any the line is left out.
 
     Args:

@@ -48,7 +48,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
 def summary_figures(rows: Rows) -> dict[str, Any]:
     """Return what the rates in :func:`summary_lines` count, and failed episodes by kind.
 
-    Episodes that failed after a contact of the target count in all of them, and not among the finished ones.
+    Episodes that failed after a collision of the target count in all of them, and not among the finished ones.
     """
     counted = [row for row in rows if has_outcome(row)]
     hits = [row for row in counted if row["target_collision"]]

@@ -25,7 +25,7 @@ JOB_COLUMNS: Mapping[str, Column] = {
     "net": _text("where: shipped nets by name, others by their path"),
     "target": _text("what drove the target"),
     "target_options": _text("its options as JSON"),
-    "background": _text("what moved the others"),
+    "background": _text("what moved the background vehicles"),
     "background_options": _text("its options as JSON"),
     "attack": _text("the background's option attack, or attacks, or else its name"),
     "root_seed": Column("int64", "", "root of the random numbers", False),

@@ -35,7 +35,7 @@ POLICIES = Registry(
         "adv-rl": "one attacker taught by reinforcement learning (baseline Adv-RL)",
     },
 )
-"""``sumo``, ``replay``, ``diffusion``, the rivals, and plug-ins of the group ``advdiff_sumo.policies``."""
+"""``sumo``, ``replay``, ``diffusion``, the baselines, and plug-ins of the group ``advdiff_sumo.policies``."""
 
 _OF_ATTACKS = dict.fromkeys(
     ("attack", "attackers", "licence", "strength", "guide"),

@@ -1,4 +1,4 @@
-"""The traffic model that rivals search in."""
+"""The traffic model that baselines search in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of the rivals, in the words of a user."""
+"""Options of the baselines, in the words of a user."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.traffic.licence import LicenceName
 
 
 class BaselineOptions(Options):
-    """What every rival takes.
+    """What every baseline takes.
 
     Attributes:
         licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.

@@ -1,4 +1,4 @@
-"""What the rivals share: they look, search, and hand their plan to the safeguard of ``diffusion``."""
+"""What the baselines share: they look, search, and hand their plan to the safeguard of ``diffusion``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BaselineMemory:
-    """What a rival remembers from plan to plan.
+    """What a baseline remembers from plan to plan.
 
     Attributes:
         searched: id → what the last search found for the vehicle.

@@ -1,6 +1,6 @@
-"""What a rival expects of the target: a planner that drives it through the imagined future of the others.
+"""What a baseline expects of the target: a planner that drives it through the imagined future of the others.
 
-The tested planner itself is not at hand while its opponents plan; AdvDiffuser gives its rivals the lane-graph
+The tested planner itself is not at hand while they plan; AdvDiffuser gives its baselines the lane-graph
 planner as surrogate (Sec. IV-C), and so is the default here.
 """
 

@@ -110,7 +110,7 @@ def braked(
 
 
 def usable(road: RoadMap, around: TargetSurroundings, states: FloatArray) -> BoolArray:
-    """Return (K,) which drives *states* (K, T + 1, 4) touch nobody and stay on the road.
+    """Return (K,) which drives *states* (K, T + 1, 4) collide with nobody and stay on the road.
 
     Who overlaps the target at the very beginning is left out, as nothing that it does can undo that.
     """

@@ -30,7 +30,7 @@ def background_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) 
 
 
 def replayed_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
-    """Return those of *contacts* in which two road users touch that both follow their log: the log's, not ours."""
+    """Return those of *contacts* of two road users that both follow their log: the log's, not ours."""
     return [c for c in _among_background(record, contacts) if both_replayed(record, c)]
 
 
@@ -46,7 +46,7 @@ def _among_background(record: EpisodeRecord, contacts: Sequence[Collision]) -> l
 def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> SumoComparison:
     """Return how far SUMO's own collision list agrees with the boxes.
 
-    SUMO misses and invents contacts (its check follows lanes); a vehicle outside the record counts as a
+    SUMO misses and invents collisions (its check follows lanes); a vehicle outside the record counts as a
     disagreement, since no box of ours can confirm it. *touches* saves the search where it was made.
     """
     touches = touches if touches is not None else find_touches(record.tracks)

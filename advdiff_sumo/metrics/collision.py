@@ -1,4 +1,4 @@
-"""Every first contact in a recorded episode, between any two agents."""
+"""Every collision in a recorded episode, between any two agents."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Touches:
 def collisions(record: EpisodeRecord, touches: Touches | None = None) -> list[Collision]:
     """Return every collision of any two agents, sorted by time, then rows.
 
-    A lasting contact counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
+    A lasting collision counts once until the boxes are ``SEPARATED_M`` apart. Steps that an agent jumps over
     or is absent from are not swept; the next step starts anew. *touches* saves the search where it was made.
     People whom SUMO lets walk pass through each other; that is no collision.
     """
@@ -123,7 +123,7 @@ def target_collision(record: EpisodeRecord, collisions: list[Collision]) -> Coll
 
 
 def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
-    """Return (instant, row, row) of every pair that overlaps at an instant or first touched in the step before.
+    """Return (instant, row, row) of every pair that overlaps at an instant or first did in the step before.
 
     This is what a check once a step, such as SUMO's, should have reported. Rows ascend within a pair; instant
     0, before the first step, is left out.
@@ -141,7 +141,7 @@ def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
 
 
 def find_touches(tracks: Tracks) -> Touches:
-    """Return every step in which two agents of *tracks* touch."""
+    """Return every step in which two agents of *tracks* are in contact."""
     parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, unbroken(tracks))]
     first, second, step, fraction = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((step, second, first))

@@ -56,7 +56,7 @@ def target_contact(
 ) -> Contact | None:
     """Return the target's first contact between two successive instants, or None.
 
-    Absent vehicles hold NaN at either instant and cannot touch. A vehicle that jumps (``JUMP_MPS``) is not
+    Absent vehicles hold NaN at either instant and cannot collide. A vehicle that jumps (``JUMP_MPS``) is not
     swept; of contacts at the same moment the lowest row is returned.
 
     Args:
@@ -91,7 +91,7 @@ def target_contact(
 
 
 def contact_of(a: Sweep, b: Sweep, fraction: float, row: int) -> Contact:
-    """Return the contact of the single pair a, b (K = 1) that first touches at *fraction*."""
+    """Return the contact of the single pair a, b (K = 1) that first overlaps after *fraction*."""
     return Contact(row, fraction, _touch_point(a, b, fraction), _depth(a, b, fraction))
 
 
@@ -105,7 +105,7 @@ def standing_overlaps(
     *,
     dt_s: float = 0.1,
 ) -> BoolArray:
-    """Return (N,) contacts with the target that were there when the vehicle appeared and still last.
+    """Return (N,) overlaps with the target that were there when the vehicle appeared and still last.
 
     They come from logs and insertions, not from driving, and are no failure of the target. Call it with
     *before* None and the same instant twice at the start, then once a step after :func:`target_contact`,

@@ -1,4 +1,4 @@
-"""What led to a contact: the lanes, links and manoeuvres of both road users in the seconds before it."""
+"""What led to a collision: the lanes, links and manoeuvres of both road users in the seconds before it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Critical near misses: a careful driver would have had to brake hard, and who resolved it.
 
-An encounter without contact is critical when a reference driver in the target's place, who reacts in the
+An encounter without a collision is critical when a reference driver in the target's place, who reacts in the
 regulation's 0.75 s and then brakes evenly, would have had to brake at more than 4 m/s² for the boxes not to meet.
 It takes over where the careful and competent driver would, on the driven path, and from the instant of the least
 time to collision on follows the lanes of the target's route: steering is not asked for. The other is taken to move

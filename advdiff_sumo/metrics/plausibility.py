@@ -50,7 +50,7 @@ class Implausibility:
 def implausibilities(record: EpisodeRecord, road: RoadMap) -> list[Implausibility]:
     """Return what vehicles did while the policy moved them, the worst of each kind and vehicle, by time.
 
-    Contacts with the target do not count: they may be what a run is for.
+    Collisions with the target do not count: they may be what a run is for.
     """
     tracks = record.tracks
     moved = (record.controller == Controller.POLICY) & tracks.valid

@@ -17,7 +17,7 @@ def is_failure(row: Row) -> bool:
 
 
 def has_outcome(row: Row) -> bool:
-    """Return whether rates count the episode: it was finished, or failed only after the target's contact."""
+    """Return whether rates count the episode: it was finished, or failed only after the target's collision."""
     return not is_failure(row) or bool(row.get("target_collision"))
 
 
@@ -27,7 +27,7 @@ def is_valid_failure(row: Row) -> bool:
 
 
 def broke_rule(row: Row) -> bool:
-    """Return whether the target broke a rule of itself, contact or not; False where that is not known."""
+    """Return whether the target broke a rule of itself, collision or not; False where that is not known."""
     return bool(row.get("offences"))
 
 

@@ -117,7 +117,7 @@ class EpisodeMetrics:
 
     @property
     def target_collision(self) -> bool:
-        """Whether the target hit something or left the road."""
+        """Whether the target collided or left the road."""
         return self.struck is not None or self.left_road is not None
 
 

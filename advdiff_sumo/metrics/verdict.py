@@ -78,7 +78,7 @@ def judge(
     """Return the verdict of a collision of the target. A pure function of its arguments.
 
     The others are taken to move as recorded, whatever the reference driver does. Whoever the driver leaves behind
-    runs into its rear at times for that reason; such a contact is not held against it.
+    runs into its rear at times for that reason; such a collision is not held against it.
 
     >>> hit = target_collision(record, collisions(record))
     >>> verdict = judge(record, road, hit)
@@ -139,10 +139,10 @@ def avoids(
 def held_against(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> tuple[Touch, ...]:
-    """Return the contacts of *drive* that count; being run into from behind by a third does not.
+    """Return the collisions of *drive* that count; being run into from behind by a third does not.
 
     It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
-    Neither does it count when the third comes into its rear after the record's end, or touched the target already
+    Neither does it count when the third comes into its rear after the record's end, or overlapped the target already
     as the driver took over.
     """
     counted = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}

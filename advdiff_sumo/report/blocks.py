@@ -39,7 +39,7 @@ def episode_block(
 
     Args:
         states: of the episode.
-        attacker: id of who hit the target or came nearest, or None.
+        attacker: id of the target's collision partner, or of who came nearest, or None.
         series: values of the charts.
         natural: what happened in the same seed scene without attack, or None.
         plans: what was planned, as far as it is known.

@@ -18,7 +18,7 @@ NAME = "careful driver"
 
 
 def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -> ReferenceDrive | None:
-    """Return the drive from its takeover on; None where there is no verdict, or no contact or critical near miss.
+    """Return the drive from its takeover on; None where there is no verdict, or no collision or critical near miss.
 
     Args:
         run: for what the traffic lights showed.

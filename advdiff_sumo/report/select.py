@@ -26,7 +26,7 @@ def pictured(ordered: Iterable[Row]) -> list[Row]:
 
 
 def attacker_of(row: Row) -> str | None:
-    """Return who hit the target, or else who came nearest to it in time or space; None when nobody did."""
+    """Return the target's collision partner, or else who came nearest to it in time or space; None when nobody did."""
     for column in ("collision_partner", "min_ttc_partner", "min_clearance_partner"):
         if row[column]:
             return str(row[column])

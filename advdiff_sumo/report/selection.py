@@ -64,13 +64,13 @@ class ChosenEpisode:
 
     @property
     def attacker(self) -> int | None:
-        """Row of who hit the target or came nearest to it, or None."""
+        """Row of the target's collision partner, or of who came nearest to it, or None."""
         name = attacker_of(self.row)
         return None if name is None else self.states.tracks.index.get(name)
 
     @property
     def contact_s(self) -> float | None:
-        """When the target was hit or left the road, or None."""
+        """When the target collided or left the road, or None."""
         return float(self.row["collision_time_s"]) if self.row["target_collision"] else None
 
     @property

@@ -49,7 +49,7 @@ def driving_test(
     Cars drive from a random edge of 20 m and more to another that can be reached from it. Teleports (after 300 s of
     waiting), emergency braking and collisions are SUMO's own counts; besides, the boxes of all cars are compared with
     each other twice a second. SUMO changes lanes in one step; a car that does so with its tail still in the junction
-    behind stands across two lanes for some metres. Contacts of such cars are counted apart too.
+    behind stands across two lanes for some metres. Collisions of such cars are counted apart too.
 
     Args:
         net: the SUMO net.

@@ -14,7 +14,7 @@ from advdiff_sumo.models.losses import discs, off_road, pair_overlap
 from advdiff_sumo.training.presets import RewardOptions
 
 _BETWEEN = 4
-"""Instants a model step at which contact is looked for: at 0.5 s fast cars would pass through each other."""
+"""Instants a model step at which collisions are looked for: at 0.5 s fast cars would pass through each other."""
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class DecoderStage(BundleStage):
 
     @torch.no_grad()
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Return the loss, displacements of posterior and sample, and how often samples touch or leave the road."""
+        """Return the loss, displacements of posterior and sample, and how often samples collide or leave the road."""
         context, latents, before = self._latents(batch, generator)
         known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)

@@ -29,7 +29,7 @@ class Experience:
         target: (B,) row of the tested vehicle.
         action: (B, A, Z) scaled latents a.
         gain: (B,) what is known of the value: discounted rewards of the stretches that were executed.
-        remains: (B,) what Q(s', ·) is multiplied with: γⁿ, or 0 after contact.
+        remains: (B,) what Q(s', ·) is multiplied with: γⁿ, or 0 after a collision.
         after: scenes s'.
         weight: (B,) 1, or 0 where the experience does not count.
     """
@@ -63,8 +63,8 @@ def gathered(parts: Sequence[Experience]) -> Experience:
 def value_of(rewards: Sequence[Payoff], discount: float) -> tuple[Tensor, Tensor]:
     """Return the value (B,) that stretches of rewards give, and the factor (B,) of what comes after them.
 
-    Values are scaled by 1 − γ, so that a reward of 1 for ever is a value of 1. Contact is for ever: an episode
-    ends with it, and being near would otherwise be worth more than hitting.
+    Values are scaled by 1 − γ, so that a reward of 1 for ever is a value of 1. A collision is for ever: an episode
+    ends with it, and being near would otherwise be worth more than colliding.
     """
     gain = torch.zeros_like(rewards[0].reward)
     factor = torch.ones_like(gain)

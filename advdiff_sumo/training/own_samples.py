@@ -49,7 +49,7 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
 
 @torch.no_grad()
 def faults(free: Rollout, batch: SceneBatch) -> Tally:
-    """Return how many vehicles touch another or leave the road in sampled futures, and how far they drive."""
+    """Return how many vehicles collide or leave the road in sampled futures, and how far they drive."""
     there, who = batch.present[..., None].expand(free.yaw.shape), driving(batch)
     driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged(batch)))
     return realism.faults(free, batch, there) | {"travelled": (driven, truth)}

@@ -55,7 +55,7 @@ def final_diversity(last: Tensor) -> Tensor:
 
 
 def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
-    """Return how many of the driving vehicles touch another one, and leave the road, at instants *known* (B, A, T)."""
+    """Return how many of the driving vehicles collide, and leave the road, at instants *known* (B, A, T)."""
     total = float(driving(batch).sum())
     return {
         "collision_rate": (float(colliding(rollout, batch, known).sum()), total),

@@ -48,7 +48,7 @@ class RewardStage(BundleStage):
         self.options = options
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
-        """Return L_Q over the experiences that the windows give, with the mean value and rate of contact."""
+        """Return L_Q over the experiences that the windows give, with the mean value and rate of collisions."""
         experiences = list(from_logs(self.bundle, batch, self.options, moment.generator))
         terms = [
             q_loss(self.bundle, self._target, one, self.options, moment.generator) for one in experiences

@@ -1,8 +1,8 @@
-"""Traffic rules that a road user broke within the 5 s before a contact, where the breach led to it.
+"""Traffic rules that a road user broke within the 5 s before a collision, where the breach led to it.
 
 Every rule is a pure function of a :class:`~advdiff_sumo.metrics.traffic_view.TrafficView`, so it holds for recorded
-episodes and for plans alike. :func:`breaches_of` asks which breaches of one party led to a contact;
-:func:`conduct_breaches` which rules that need no contact somebody breaks, as in a plan that is not driven yet. The
+episodes and for plans alike. :func:`breaches_of` asks which breaches of one party led to a collision;
+:func:`conduct_breaches` which rules that need no collision somebody breaks, as in a plan that is not driven yet. The
 rules, with their figures, stand in ``docs/verdict.md``.
 """
 
@@ -39,11 +39,11 @@ _PRESENCE_RULES = (red_light, right_of_way, wrong_side, lane_entry_breach, rever
 
 
 def breaches_of(view: TrafficView, met: Encounter, which: int) -> tuple[Breach, ...]:
-    """Return the breaches of one party of a contact that led to it.
+    """Return the breaches of one party of a collision that led to it.
 
     Args:
         view: who is where.
-        met: the contact with its circumstances (:func:`~advdiff_sumo.metrics.encounter.encounter`).
+        met: the collision with its circumstances (:func:`~advdiff_sumo.metrics.encounter.encounter`).
         which: 0 for the first of the two (the target, where it takes part), 1 for the other.
     """
     excused = any(x.kind in _EXCUSING for x in _presence(view, met, 1 - which))

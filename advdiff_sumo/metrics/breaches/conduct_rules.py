@@ -1,4 +1,4 @@
-"""Rules that need no partner: speed limits, reversing, staying on the road; and what makes them concern a contact."""
+"""Rules that need no partner: speed limits, reversing, staying on the road; and what makes them concern a collision."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None
 
     Args:
         view: who is where.
-        met: the contact.
+        met: the collision with its circumstances.
         walker: 0 or 1, who may be walking.
     """
     if not met.parties[walker].is_pedestrian:

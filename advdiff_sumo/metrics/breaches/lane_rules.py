@@ -23,7 +23,7 @@ _DRIFT_MPS = 0.1
 def wrong_side(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     """Return the breach of driving against the lane, or over its edge into oncoming traffic.
 
-    It concerns the contact unless the other ran into its rear, or came over to its side first. Where their ways over
+    It concerns the collision unless the other ran into its rear, or came over to its side first. Where their ways over
     a junction meet, giving way is the rule: a long vehicle that turns there reaches out of its lane.
     """
     party = met.parties[which]
@@ -72,7 +72,7 @@ def on_opposite_lane(view: TrafficView, row: int, lanes: Placement, at: int, sta
 def lane_entry_breach(view: TrafficView, met: Encounter, which: int) -> Breach | None:
     """Return the breach of entering the lane of the other with less than the safe gap, or sideways into it.
 
-    An entry after which the gap was a safe one again did not lead to the contact. Where ways of different
+    An entry after which the gap was a safe one again did not lead to the collision. Where ways of different
     approaches cross or join, giving way is the rule instead, and also where somebody who walks had the way.
     """
     party, entry = met.parties[which], met.entry

@@ -1,4 +1,4 @@
-"""Rules that the target broke of itself, whether or not it led to a contact: what a test engineer files as well."""
+"""Rules that the target broke of itself, whether or not it led to a collision: what a test engineer files as well."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OF_ITSELF = frozenset(
         *(BreachKind.SPEEDING, BreachKind.REVERSING),
     }
 )
-"""Rules that a target can break without a contact."""
+"""Rules that a target can break without a collision."""
 #: Against the direction of traffic for at least so long, looked at so often, and faster than this.
 WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
 _ROUNDING = 1e-6

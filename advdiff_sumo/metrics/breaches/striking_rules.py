@@ -21,14 +21,14 @@ _BRAKE_SLACK_MPS2 = 0.05
 
 
 def ran_into(view: TrafficView, met: Encounter, which: int, excused: bool) -> Breach | None:
-    """Return the breach of striking, with the front, somebody who could be expected there.
+    """Return the breach of running, with the front, into somebody who could be expected there.
 
     That is somebody who has stood for a second; who drove ahead and braked by no more than 4 m/s²; or who entered
     the lane with a safe gap.
 
     Args:
         view: who is where.
-        met: the contact.
+        met: the collision with its circumstances.
         which: 0 or 1, whose breach.
         excused: the other broke a rule that put it there.
     """

@@ -1,4 +1,4 @@
-"""Whom a drive touches among recorded others, how hard, and how near it comes to one of them."""
+"""Whom a drive collides with among recorded others, how hard, and how near it comes to one of them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Touch:
 
 
 def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> tuple[Touch, ...]:
-    """Return the first contact with each of *others* that the drive touches, in their order.
+    """Return the first contact with each of *others* that the drive collides with, in their order.
 
     Args:
         drive: (T,) states.

@@ -15,7 +15,7 @@ _STEP_M = 0.5
 
 
 def conflict_zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
-    """Return where vehicles on *own* and *other* would touch, or None when their ways stay apart."""
+    """Return where vehicles on *own* and *other* would collide, or None when their ways stay apart."""
     key = (own.from_lane, own.to_lane, other.from_lane, other.to_lane)
     if key not in geometry.conflicts:
         geometry.conflicts[key] = _zone(geometry, own, other)

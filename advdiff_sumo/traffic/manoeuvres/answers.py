@@ -1,4 +1,4 @@
-"""What a driver in the target's place has to do about others: the least braking that avoids contact."""
+"""What a driver in the target's place has to do about others: the least braking that avoids a collision."""
 
 from __future__ import annotations
 

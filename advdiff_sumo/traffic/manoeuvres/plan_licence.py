@@ -1,4 +1,4 @@
-"""Checks final plans with the breach rules of the verdict: would the contact that a plan leads to be its own fault?"""
+"""Checks final plans with the breach rules of the verdict: would a collision that a plan leads to be its own fault?"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """What an attacker is paid for half a second: R = R_adv − P_coll (the paper, Sec. III-C), comfort and alignment.
 
 R_adv pays for a collision with the target and, so that there is something to follow before the first one, for
-nearness (as AdvSim does, Wang et al. 2021, doi:10.1109/CVPR46437.2021.00978). P_coll asks for collisions with others and
-for leaving the road. A Gaussian policy of fixed deviation σ that differs from the behaviour model's by δ in its mean is
-|δ|² / 2 σ² away in the sense of Kullback and Leibler; ``align`` asks for that.
+nearness (as AdvSim does, Wang et al. 2021, doi:10.1109/CVPR46437.2021.00978). P_coll asks for collisions with others
+and for leaving the road. A Gaussian policy of fixed deviation σ that differs from the behaviour model's by δ
+in its mean is |δ|² / 2 σ² away in the sense of Kullback and Leibler; ``align`` asks for that.
 """
 
 from __future__ import annotations

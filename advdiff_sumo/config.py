@@ -11,7 +11,7 @@ from typing import Annotated, Any, Self, TypeAlias, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean, nearest
+from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean, nearest, os_reason
 
 _Own = TypeVar("_Own", bound=Mapping[str, Any])
 Seed: TypeAlias = Annotated[int, Field(ge=0, lt=2**63)]
@@ -156,7 +156,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise FileError(path, f"not valid TOML ({error})", "correct that line") from None
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})") from None
 
 
 def set_dotted(values: dict[str, Any], assignment: str) -> None:

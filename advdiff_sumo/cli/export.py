@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError, os_reason
 
 if TYPE_CHECKING:
     from advdiff_sumo.export import Exporter, ExportScene
@@ -69,9 +69,7 @@ def _write(scene: ExportScene, exporters: Sequence[Exporter], folder: Path) -> t
             except (ConfigError, MissingExtraError) as error:
                 refused.append(str(error))
     except OSError as error:
-        raise FileError(
-            folder, f"cannot be written ({error.strerror or error})", "choose another --out"
-        ) from None
+        raise FileError(folder, f"cannot be written ({os_reason(error)})", "choose another --out") from None
     return written, refused
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.summary import UNEXPLAINED
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError
+from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError, os_reason
 from advdiff_sumo.core.wording import counted, in_series
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
@@ -87,7 +87,7 @@ def check_junit(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror or error})", _OTHER_JUNIT) from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", _OTHER_JUNIT) from None
     if path.is_dir() or not os.access(path.parent, os.W_OK):
         reason = "it is a folder" if path.is_dir() else "nothing can be written into its folder"
         raise FileError(path, f"cannot be written ({reason})", _OTHER_JUNIT)

@@ -14,7 +14,7 @@ from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.evaluate import judge_and_show
 from advdiff_sumo.cli.interruption import training_into
 from advdiff_sumo.cli.terminal import progress_bar, terminal
-from advdiff_sumo.core.errors import FileError, UnknownNameError
+from advdiff_sumo.core.errors import FileError, UnknownNameError, os_reason
 
 if TYPE_CHECKING:
     from advdiff_sumo.training.checkpoint import TrainingProgress as State
@@ -150,7 +150,7 @@ def claim(out: Path, resume: bool) -> None:
         out.mkdir(parents=True, exist_ok=True)
         held = sorted(path.name for path in out.iterdir())
     except OSError as error:
-        raise FileError(out, f"cannot be used ({error.strerror})", "choose another --out") from None
+        raise FileError(out, f"cannot be used ({os_reason(error)})", "choose another --out") from None
     if held:
         raise FileError(out, f"is not empty ({held[0]})", "choose another --out, or add --resume")
 

@@ -157,6 +157,14 @@ UNEXPLAINED_KINDS = frozenset({SimulationError.kind, "simulator_crashed", "worke
 """Kinds of failure that neither a plug-in nor what was given explains: faults of SUMO, the machine or this package."""
 
 
+def os_reason(error: OSError) -> str:
+    """Return what the system says of *error*, such as "No such file or directory"; where that is nothing, its text.
+
+    Libraries raise ``OSError("…")`` without a number, whose ``strerror`` is None.
+    """
+    return error.strerror or str(error) or type(error).__name__
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" for the nearest of *known*, else a list of all of them."""
     names = sorted(known)

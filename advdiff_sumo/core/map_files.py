@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 from defusedxml import ElementTree
 
-from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.errors import MapError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 
@@ -54,7 +54,7 @@ def _bytes(path: Path) -> bytes:
     except DAMAGED_GZIP:
         raise MapError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = os_reason(error)
         raise MapError(path, f"cannot be read ({reason})", "give the path of an existing map file") from None
     if len(content) > MAX_FILE_BYTES:
         raise MapError(path, "unpacks to more than any map expansion has", "give one map's file")

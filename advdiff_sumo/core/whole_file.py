@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -52,7 +52,7 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(path, f"cannot be made ({error.strerror})", remedy) from None
+        raise FileError(path, f"cannot be made ({os_reason(error)})", remedy) from None
 
 
 def aside_of(path: Path, ending: str = "") -> Path:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.errors import LogError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, unpacked
 
 _KINDS = "biufSU"  # bool, int, unsigned, float, bytes, text: numbers and names, never objects
@@ -59,7 +59,7 @@ def _content(path: Path) -> bytes:
     except DAMAGED_GZIP:
         raise LogError(path, GZIP_PROBLEM, _AGAIN) from None
     except OSError as error:
-        raise LogError(path, f"cannot be read ({error.strerror})", "give a ScenarioNet record") from None
+        raise LogError(path, f"cannot be read ({os_reason(error)})", "give a ScenarioNet record") from None
 
 
 class _Dtype:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
-from advdiff_sumo.core.errors import LogError
+from advdiff_sumo.core.errors import LogError, os_reason
 
 _CHUNK = 1 << 22  # characters
 _LONGEST = 1 << 22  # no record is as long: what does not parse by then never will
@@ -48,7 +48,7 @@ def records(path: Path) -> Iterator[dict[str, Any]]:
     except UnicodeDecodeError:
         raise LogError(path, "is not UTF-8 text", _AGAIN) from None
     except OSError as error:
-        raise LogError(path, f"cannot be read ({error.strerror})") from None
+        raise LogError(path, f"cannot be read ({os_reason(error)})") from None
 
 
 def _objects(path: Path, file: TextIO) -> Iterator[dict[str, Any]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.whole_file import whole_file
 
 FORMAT = "advdiff-windows-1"
@@ -138,7 +138,7 @@ def write_windows(path: str | Path, windows: WindowFile) -> None:
         with whole_file(path) as aside:
             aside.write_bytes(_sorted_header(save(tensors, metadata=header)))
     except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", "choose another --out") from None
 
 
 def read_windows(path: str | Path) -> WindowFile:
@@ -200,7 +200,7 @@ def _open(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
     except SafetensorError as error:
         raise FileError(path, f"is truncated or no safetensors file ({error})", _AGAIN) from None
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})") from None
 
 
 def _sorted_header(raw: bytes) -> bytes:

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import ConfigError, FileError, InputError
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError, os_reason
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.core.worker_pool import futures_of
@@ -327,4 +327,4 @@ def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Colum
         remedy = (
             "free some space" if error.errno == errno.ENOSPC else "make its folder one that can be written to"
         )
-        raise FileError(path, f"cannot be written ({error.strerror or error})", remedy) from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", remedy) from None

@@ -17,7 +17,7 @@ import numpy as np
 from defusedxml.ElementTree import parse as parse_xml
 
 from advdiff_sumo.core.arrays import FloatArray, read_only
-from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.errors import NetError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 from advdiff_sumo.maps.not_a_net import map_error
@@ -147,7 +147,7 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
     except DAMAGED_GZIP:
         raise NetError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except OSError as error:
-        raise NetError(path, f"cannot be read ({error.strerror or error})") from None
+        raise NetError(path, f"cannot be read ({os_reason(error)})") from None
     except UNREADABLE_XML as error:
         remedy = "it is truncated or not XML; copy or make it anew"
         raise NetError(path, f"is not readable as XML ({error})", remedy) from None

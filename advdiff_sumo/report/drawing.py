@@ -15,7 +15,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.report.layer import NetWindow, VisibleStreets
 from advdiff_sumo.report.scene_picture import Box, Picture, Role, picture_of
 from advdiff_sumo.report.selection import ChosenEpisode
@@ -58,7 +58,7 @@ def check_ending(path: Path, endings: tuple[str, ...]) -> str:
 
 def unwritable(path: Path, error: OSError) -> FileError:
     """Return the error that says that *path* cannot be written."""
-    return FileError(path, f"cannot be written ({error.strerror or error})", "choose another place")
+    return FileError(path, f"cannot be written ({os_reason(error)})", "choose another place")
 
 
 def frame_axes(axes: Axes, view: NetWindow) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.metrics.archive import MANOEUVRES
 from advdiff_sumo.metrics.severity import badge, worst_first
@@ -43,7 +43,7 @@ def write_report(folder: Path) -> Path:
         with whole_file(path) as aside:
             aside.write_bytes(content)
     except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror})", "make the folder writable") from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", "make the folder writable") from None
     return path
 
 

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 from defusedxml.ElementTree import iterparse
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 
@@ -45,7 +45,7 @@ def _chunks(path: Path) -> Iterator[bytes]:
     except DAMAGED_GZIP:
         raise FileError(path, GZIP_PROBLEM, GZIP_REMEDY) from None
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})") from None
 
 
 def elements(path: Path) -> Iterator[Element]:
@@ -64,7 +64,7 @@ def elements(path: Path) -> Iterator[Element]:
             path, f"not well-formed XML ({error})", "it may be truncated: export it again"
         ) from None
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})") from None
 
 
 def seconds(text: str) -> float | None:

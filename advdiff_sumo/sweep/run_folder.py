@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import tomli_w
 
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, os_reason
 from advdiff_sumo.core.whole_file import ASIDE
 from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RUN_PARTS, RUN_SETTINGS, RunTables
@@ -80,7 +80,7 @@ class RunFolder:
             write_whole(path / RUN_SETTINGS, tomli_w.dumps(settings).encode())
         except (FileError, OSError) as error:
             folder.discard()
-            reason = error.strerror if isinstance(error, OSError) else _reason(error)
+            reason = os_reason(error) if isinstance(error, OSError) else _reason(error)
             raise FileError(path, f"cannot be written ({reason})", "choose another --out") from None
         return folder
 

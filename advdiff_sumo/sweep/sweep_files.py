@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.whole_file import whole_file
 
 _NO_VERSIONS = {"inputs", "repeats"}
@@ -66,7 +66,7 @@ def unwritable(path: Path, error: OSError) -> FileError:
     """Return the sentence for a file that cannot be written."""
     if error.errno in _FULL:
         return DiskFullError(path)
-    return FileError(path, f"cannot be written ({error.strerror or error})", "choose another --out")
+    return FileError(path, f"cannot be written ({os_reason(error)})", "choose another --out")
 
 
 def checksum_of(path: Path) -> str:

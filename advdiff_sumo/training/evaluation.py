@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.metrics.statistics import jensen_shannon
 from advdiff_sumo.models.batch import SceneBatch
@@ -145,7 +145,7 @@ def write_figures(
     try:
         path.write_text(json.dumps(text, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror})", "choose another --out") from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", "choose another --out") from None
 
 
 def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from advdiff_sumo.config import Options
-from advdiff_sumo.core.errors import ConfigError, FileError
+from advdiff_sumo.core.errors import ConfigError, FileError, os_reason
 from advdiff_sumo.maps.shipped_nets import SHIPPED_NETS, net_name
 from advdiff_sumo.sim.sim_options import SceneOptions
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
@@ -135,7 +135,7 @@ def read_scene_list(path: Path) -> SceneList:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})", "give a list of seed scenes") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})", "give a list of seed scenes") from None
     except ValueError as error:
         raise FileError(path, f"is no JSON ({error})", "give a list of seed scenes") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.motion import signed_speeds
@@ -52,7 +52,7 @@ def reading(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})", f"give {what}") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})", f"give {what}") from None
     except _FAULTS as error:
         problem = f"is not {what} as exported here ({type(error).__name__}: {error})"
         raise FileError(path, problem, AGAIN) from None

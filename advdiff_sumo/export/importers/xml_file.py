@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 from defusedxml.ElementTree import DefusedXMLParser
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 from advdiff_sumo.export.importers.assemble import AGAIN
 
@@ -22,7 +22,7 @@ def read_xml(path: Path, tag: str, what: str) -> ET.Element:
     try:
         root: ET.Element | None = ET.parse(path, parser).getroot()  # noqa: S314 - the parser is the safe one
     except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})", f"give {what}") from None
+        raise FileError(path, f"cannot be read ({os_reason(error)})", f"give {what}") from None
     except UNREADABLE_XML as error:
         raise FileError(path, f"is not readable as XML ({error})", AGAIN) from None
     if root is None or root.tag != tag:

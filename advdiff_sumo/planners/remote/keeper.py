@@ -56,7 +56,7 @@ def _run(words: list[str]) -> int:
                 end_group(command)
             return command.wait()
     except OSError as error:
-        sys.stderr.write(f"{words[0]}: {error.strerror}\n")
+        sys.stderr.write(f"{words[0]}: {error.strerror or error}\n")
         return 127
 
 

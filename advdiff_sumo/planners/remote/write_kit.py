@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import advdiff_sumo
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, os_reason
 
 #: What a planner's server imports, relative to this package.
 KIT_FILES = (
@@ -54,5 +54,5 @@ def write_kit(folder: Path) -> list[Path]:
             copy.write_bytes((source / name).read_bytes())
             written.append(copy)
     except OSError as error:
-        raise FileError(folder, f"cannot be written ({error.strerror})") from None
+        raise FileError(folder, f"cannot be written ({os_reason(error)})") from None
     return written

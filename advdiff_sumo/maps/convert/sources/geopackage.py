@@ -15,7 +15,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.core.errors import MapError, os_reason
 from advdiff_sumo.core.map_files import MAX_FILE_BYTES
 from advdiff_sumo.maps.convert.sources.bounded_lanes import on_earth
 
@@ -55,7 +55,7 @@ def _check_file(path: Path, remedy: str) -> None:
     try:
         size = path.stat().st_size
     except OSError as error:
-        raise MapError(path, f"cannot be read ({error.strerror})", remedy) from None
+        raise MapError(path, f"cannot be read ({os_reason(error)})", remedy) from None
     if path.is_dir():
         raise MapError(path, "is a folder", remedy)
     if size == 0:

@@ -22,6 +22,7 @@ from advdiff_sumo.cli.worker_flags import (
 )
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,17 +31,16 @@ if TYPE_CHECKING:
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
 
 _FAILED = 1
+_QUANTITIES = dict.fromkeys(scale.by for scales in SCALES.values() for scale in scales)
 
 _Attack = Annotated[
     str,
-    typer.Option(
-        help="How it is attacked: hard-stop, cut-in, stop-and-go, blocked-lane, crossing, cut-out, or all."
-    ),
+    typer.Option(help=f"How it is attacked: {', '.join(SCALES)}, or {EVERY_ATTACK}."),
 ]
 _By = Annotated[
     str | None,
     typer.Option(
-        help="Quantity that is varied: braking, gap or time.",
+        help=f"Quantity that is varied: {', '.join(_QUANTITIES)}.",
         show_default="what the attack has, of cut-in the gap",
     ),
 ]
@@ -130,8 +130,6 @@ def _tell(
 
 def _found(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
     """Return what ``--json`` prints of the *margins*: of one attack its values, of all attacks a list."""
-    from advdiff_sumo.experiments.margin import EVERY_ATTACK
-
     summaries = [one.summary() for one in margins]
     return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
@@ -142,8 +140,6 @@ def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str,
     Raises:
         ConfigError: there are none such.
     """
-    from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
-
     if attack != EVERY_ATTACK:
         return [(attack, scale_of(attack, by))]
     for option, value in (("--by", by), ("--within", within)):

@@ -34,7 +34,9 @@ _Output = Annotated[
 ]
 _Lefthand = Annotated[
     bool | None,
-    typer.Option("--lefthand/--righthand", help="Side of the road; default: by the map's name."),
+    typer.Option(
+        "--lefthand/--righthand", help="Side of the road; default: by the map's name, or by its lanes."
+    ),
 ]
 _Tls = Annotated[
     str, typer.Option(help="'guess': signals at large junctions; 'map': only where the map has them.")

@@ -114,14 +114,14 @@ def _continued_or_new(
 
 
 def _prepared(options: RunOptions, gui: bool) -> tuple[Run, list[str]]:
-    """Return the checked run and what of logs and demand it leaves out; workers start meanwhile."""
+    """Return the checked run and what to say of its net, log and demand; workers start meanwhile."""
     flags.check_display(gui)
     if not gui:
         _start_workers(options)
     from advdiff_sumo.sim.run_episodes import Run  # late: workers import what they need meanwhile
 
     prepared = Run.prepare(options, gui)
-    return prepared, prepared.left_out()  # before there is a folder: a log that cannot be read leaves none
+    return prepared, prepared.notes()  # before there is a folder: a log that cannot be read leaves none
 
 
 def _start_workers(options: RunOptions) -> None:
@@ -194,7 +194,7 @@ def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:
-    """Say what of the logs and of the demand is left out."""
+    """Say what a user should know of nets, logs and demand."""
     for note in notes:
         console.print(f"note: {note}", soft_wrap=True)
 

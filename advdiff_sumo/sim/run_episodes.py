@@ -22,6 +22,7 @@ from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data import open_log
 from advdiff_sumo.data.log_reader import LogReader
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.net_oddities import net_oddities
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
 from advdiff_sumo.planners.planner_protocol import Planner, Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import BUILTIN_PLAN_S, TARGETS, make_target, plans_briefly
@@ -139,9 +140,9 @@ class Run:
         """The driving log that scenes come from, if any."""
         return open_log(Path(self.options.scenes)) if self.options.scenes else None
 
-    def left_out(self) -> list[str]:
-        """Return sentences on what of the driving log and of the demand is left out."""
-        return left_out(self.options, self.road, self.demand, self.log)
+    def notes(self) -> list[str]:
+        """Return sentences on what is odd in the net, and on what of the driving log and demand is left out."""
+        return [*net_oddities(self.road), *left_out(self.options, self.road, self.demand, self.log)]
 
     def why_no_scene(self) -> str:
         """Return a sentence on why no episode can start, where it is known."""

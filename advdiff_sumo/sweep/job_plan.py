@@ -11,6 +11,7 @@ from typing import Any
 from advdiff_sumo.core.errors import ConfigError, InputError, UnknownNameError
 from advdiff_sumo.data import open_log
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.net_oddities import net_oddities
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS
@@ -279,15 +280,17 @@ class _Check:
 
 
 def sweep_notes(plan: SweepPlan) -> Iterator[str]:
-    """Yield sentences on what of logs and demand is left out, once for each net with its log or demand.
+    """Yield sentences on what is odd in the nets, and on what of logs and demand is left out, each once.
 
     Raises:
         InputError: a log cannot be read.
     """
+    road_of = cache(read_road)  # a net may have several logs and demands
+    for net in dict.fromkeys(cell.net for cell in plan.cells):
+        yield from net_oddities(road_of(net))
     sources = {
         (cell.net, cell.demand, cell.scenes): cell for cell in plan.cells if cell.demand or cell.scenes
     }
-    road_of = cache(read_road)  # a net may have several logs and demands
     for (net, demand, scenes), options in sources.items():
         road = road_of(net)
         files = read_demand(Path(demand), road) if demand else None

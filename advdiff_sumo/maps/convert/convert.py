@@ -30,9 +30,10 @@ from advdiff_sumo.maps.convert.opendrive import write_opendrive
 from advdiff_sumo.maps.convert.osm.add_streets import NO_STREETS, Streets, add_streets
 from advdiff_sumo.maps.convert.osm.import_streets import PREFIX as STREET_PREFIX
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
-from advdiff_sumo.maps.convert.projection import drives_left, projection_of
+from advdiff_sumo.maps.convert.projection import projection_of
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
+from advdiff_sumo.maps.convert.side_of_road import with_side_of_the_road
 from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.programs import write_programs
 from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
@@ -94,7 +95,7 @@ def convert_map(
     Args:
         map_json: nuScenes map expansion v1.3.
         out_net: net to be written, NAME.net.xml.
-        lefthand: whether traffic keeps left; None: as is usual at the map's place.
+        lefthand: whether traffic keeps left; None: as the map, its place or its lanes say.
         guess_signals: put signals at large junctions where the map has none.
         opendrive: also write NAME.xodr.
         crossings: which crossings the net gets, with sidewalks between them.
@@ -132,10 +133,12 @@ def convert_source(
     *close_rim*, return edges beside the map lead from where it then ends to where it begins (:mod:`.rim`). With
     *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
     """
-    left = (source.keeps_left or drives_left(source.location)) if lefthand is None else lefthand
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))
+    if lefthand is None:
+        source = with_side_of_the_road(source)
+    left = source.keeps_left if lefthand is None else lefthand
     tracks = measure_tracks(source, SPEED_MPS[left])
     layout = _laid_out(source, tracks, crossings)
     layout.counts["lanes without usable width, made 3.5 m wide"] = sum(

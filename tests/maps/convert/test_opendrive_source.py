@@ -198,7 +198,7 @@ def test_markings_that_may_be_crossed(
 
 def test_where_traffic_keeps_left_lanes_run_the_other_way(tmp_path: Path) -> None:
     source = read(tmp_path, road("7", 0.0, 40.0, sections(lane(1), lane(-1)), more='rule="LHT"'))
-    assert source.warnings == ("m.xodr: its roads state that traffic keeps left: give '--lefthand'",)
+    assert (source.keeps_left, source.warnings) == (True, ())
     starts = {row.token: row.centre_m[0].round(9).tolist() for row in source.lanes}
     assert starts == {"7_0_1": [0.0, 2.5], "7_0_-1": [40.0, -0.5]}
 

@@ -66,8 +66,6 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
         raise MapError(path, f"begins with <{root.tag}>, so it is no OpenDRIVE file", REMEDY)
     faults = MapFaults(path)
     roads = [road for row in root.iterfind("road") if (road := _read_road(row, faults))]
-    if any(road.left_hand for road in roads):
-        faults.add("traffic keeps left", "its roads state that traffic keeps left: give '--lefthand'")
     after = lane_successors(root)
     rows = [lane for road in roads for lane in road.lanes(after, faults)]
     lanes = source_lanes(rows, faults)
@@ -89,7 +87,7 @@ def opendrive_map(root: Element, path: Path) -> SourceMap:
         notes=faults.notes,
         warnings=faults.sentences(),
         projection=projection,
-        keeps_left=root.find(KEEPS_LEFT) is not None,
+        keeps_left=root.find(KEEPS_LEFT) is not None or any(road.left_hand for road in roads),
     )
 
 

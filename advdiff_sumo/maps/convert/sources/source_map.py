@@ -137,7 +137,8 @@ class SourceMap:
         notes: counts of what was mended or left out while reading.
         warnings: one sentence for each thing a user should know.
         projection: PROJ string whose plane is the frame of the map, where that is known.
-        keeps_left: whether the map states that traffic keeps left, and its lanes are read so.
+        keeps_left: whether the map states that traffic keeps left, and its lanes are read so; of a map that is
+            converted, whether it does.
     """
 
     path: Path

@@ -11,6 +11,8 @@ from rich.table import Table
 
 from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.terminal import progress_bar, terminal
+from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.whole_file import make_folder
 
 _HEADS = {
     "ade_m": "ADE",
@@ -75,9 +77,11 @@ def evaluate(
 def judge_and_show(
     bundle: Bundle, windows: WindowSet, judging: EvaluationSettings, device: torch.device, out: Path | None
 ) -> None:
-    """Judge *bundle* on *windows*, print the table, and write *out*."""
+    """Judge *bundle* on *windows*, print the table, and write *out*; FileError: that is no place for a file."""
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
+    if out is not None:  # before minutes of judging
+        _make_room(out)
     with progress_bar(terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged", total=None)
         figures = evaluate_bundle(
@@ -90,6 +94,12 @@ def judge_and_show(
     terminal(width=max(terminal().width, _WIDTH)).print(table(figures))
     if out is not None:
         write_figures(out, figures, judging, windows)
+
+
+def _make_room(out: Path) -> None:
+    if out.is_dir():
+        raise FileError(out, "is a folder", "name a file in --out, such as figures.json in it")
+    make_folder(out.parent)
 
 
 def table(figures: dict[str, Figures]) -> Table:

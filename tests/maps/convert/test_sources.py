@@ -31,6 +31,17 @@ GENUINE = (
 )
 
 
+def test_a_folder_is_no_map(tmp_path: Path) -> None:
+    with pytest.raises(
+        MapError, match=r"is a folder; give one map in it, or all maps of a nuScenes data set"
+    ):
+        read_map(tmp_path)
+    with pytest.raises(
+        MapError, match=r"town\.txt: is of no known map format; give a nuScenes map expansion"
+    ):
+        read_map(tmp_path / "town.txt")
+
+
 def test_midline_by_length_in_space() -> None:
     left = np.array([[0.0, 2.0, 0.0], [3.0, 2.0, 4.0], [8.0, 2.0, 4.0]])  # 5 m up a ramp, then 5 m
     right = np.array([[0.0, 0.0, 0.0], [8.0, 0.0, 0.0]])

@@ -44,4 +44,8 @@ def read_map(path: Path) -> SourceMap:
         return nuplan_map(path)
     if name.endswith(".pkl"):
         raise MapError(path, "is a gzipped record", "unpack it first, with gunzip")
+    if path.is_dir():
+        raise MapError(
+            path, "is a folder", "give one map in it, or all maps of a nuScenes data set with --all"
+        )
     raise MapError(path, "is of no known map format", f"give {FORMATS}")

@@ -11,7 +11,9 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
 KEEP_SHARE = 0.2  # pieces of an edge run abreast over at least this share of the longer one
-ABSORB_M = 25.0  # a piece of at most this length may go inside a junction for the sake of lane changes
+# A piece of at most this length may go inside a junction for the sake of lane changes. Longer than in crossings.py, as
+# nothing is divided here: a piece that stays keeps two lanes apart (with 20 m one pair more in singapore-onenorth).
+ABSORB_M = 25.0
 
 
 @dataclass(frozen=True)

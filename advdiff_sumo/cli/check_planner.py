@@ -7,36 +7,28 @@ from contextlib import ExitStack
 from typing import Annotated, Any
 
 import typer
-from rich.text import Text
 
+from advdiff_sumo.cli.contract_checks import TIMEOUT_S, Episodes, Horizon, Net, Timeout, tell_checks
 from advdiff_sumo.cli.run_flags import Defect
-from advdiff_sumo.cli.terminal import findings_table, terminal
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.threads import one_thread_for_good
-
-FAILS = 1
-_STATES = {True: Text("ok", style="green"), False: Text("fails", style="red"), None: Text("–")}
 
 
 def check_planner(
     name: Annotated[
         str, typer.Argument(help="As of --target: lane_graph, a plug-in's name, or package.module:Class.")
     ],
-    net: Annotated[
-        str, typer.Option(help="SUMO net to drive on, or a shipped one: downtown, downtown-left, motorway.")
-    ] = "downtown",
+    net: Net = "downtown",
     assign: Annotated[
         list[str] | None, typer.Option("--set", help="An option of the planner, as NAME=VALUE.")
     ] = None,
     defect: Defect = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Drives in SUMO's traffic.")] = 2,
-    horizon: Annotated[float, typer.Option(min=1.0, help="Their length in seconds.")] = 10.0,
+    episodes: Episodes = 2,
+    horizon: Horizon = 10.0,
     within_ms: Annotated[float, typer.Option(min=0.0, help="Longest median time of a plan.")] = 500.0,
     seed: Annotated[int, typer.Option(help="Of traffic and planner.")] = 0,
-    timeout: Annotated[
-        float, typer.Option(min=1.0, help="Longest time for all checks, in seconds of the clock.")
-    ] = 900.0,
+    timeout: Timeout = TIMEOUT_S,
     memory: Memory = MEMORY_MB,
 ) -> None:
     """Check a planner: its contract, that it repeats itself, how it copes with hard scenes, and how long it takes.
@@ -58,10 +50,4 @@ def check_planner(
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, math.inf, memory)
         verdicts = check_in_worker(name, options, extent, limits, lambda line: typer.echo(line, err=True))
-    console = terminal(highlight=False, soft_wrap=True)
-    console.print(findings_table((_STATES[x.ok], x.name, x.detail) for x in verdicts))
-    failed = sum(x.ok is False for x in verdicts)
-    if failed:
-        console.print(Text(f"{name}: {failed} of {len(verdicts)} checks fail", style="red"))
-        raise typer.Exit(FAILS)
-    console.print(Text(f"{name} keeps the contract", style="green"))
+    tell_checks(name, verdicts)

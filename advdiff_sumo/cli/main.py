@@ -13,6 +13,7 @@ import typer
 from advdiff_sumo import __version__
 from advdiff_sumo.cli.bench import bench
 from advdiff_sumo.cli.check_planner import check_planner
+from advdiff_sumo.cli.check_policy import check_policy
 from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.cli.convert import convert
 from advdiff_sumo.cli.data import data
@@ -65,6 +66,7 @@ app.command("evaluate")(evaluate)
 app.command("warmup")(warmup)
 app.command("export")(export)
 app.command("check-planner")(check_planner)
+app.command("check-policy")(check_policy)
 app.command("margin")(margin)
 app.command("list")(list_names)
 app.command("defects")(defects)

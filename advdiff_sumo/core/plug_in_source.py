@@ -43,7 +43,7 @@ def lacks_memory(error: BaseException) -> bool:
 def raised_at(error: BaseException, plug_in: object) -> str:
     """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none.
 
-    One of our wrappers around a planner is looked through, here and in :func:`planned_at`.
+    One of our wrappers around a planner or policy is looked through, here and in :func:`planned_at`.
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not _is_library(frame.filename)]
@@ -89,9 +89,9 @@ def _file_of(module: str) -> Path | None:
 
 
 def _unwrapped(plug_in: object) -> object:
-    """Return the planner in wrappers of ours, such as one with defects: their attribute ``planner``."""
+    """Return what is in wrappers of ours, such as a planner with defects: their attribute ``planner`` or ``policy``."""
     code = _code_of_plan(plug_in)
-    inner = getattr(plug_in, "planner", None)
+    inner = getattr(plug_in, "planner", getattr(plug_in, "policy", None))
     if inner is None or code is None or not code.co_filename.startswith(_OURS):
         return plug_in
     return _unwrapped(inner)

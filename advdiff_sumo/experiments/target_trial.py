@@ -2,61 +2,49 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.contract import Problem
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plan import Plan
-from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
-from advdiff_sumo.core.wording import counted
+from advdiff_sumo.experiments.check_results import (
+    CheckResult,
+    checked_in_worker,
+    drives_results,
+    evenly,
+    in_time,
+    part_result,
+)
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planners.hard_scenes import hard_scenes
-from advdiff_sumo.planners.planner_check import Part, Problem, carries_over, problems_of
+from advdiff_sumo.planners.planner_check import Part, carries_over, problems_of
 from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner, SumoDriver
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.run_episodes import RunOptions, check_together, target_of
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
-from advdiff_sumo.sweep.executors import call_in_worker
 from advdiff_sumo.sweep.tasks import WorkerLimits
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
-DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
-LASTS = "comes to its end"
-_KEPT = 4
-_NOT_REACHED = {
+_NOT_REACHED: dict[StrEnum, tuple[Part, ...]] = {
     Part.METHODS: tuple(Part)[1:],
     Part.RAISES: tuple(Part)[2:],
     Part.FORM: tuple(Part)[3:],
     Part.NUMBERS: (Part.MOTION,),
 }
 """What cannot be looked at in a scene in which a part does not hold."""
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """One check.
-
-    Attributes:
-        name: what is checked.
-        ok: whether it holds; None: it could not be looked at, for what an earlier one found.
-        detail: what was seen; where it fails, the first problem.
-    """
-
-    name: str
-    ok: bool | None
-    detail: str
 
 
 @dataclass(frozen=True)
@@ -141,16 +129,7 @@ def check_in_worker(
     Raises:
         InputError: there is no such planner, or it cannot be made.
     """
-    outcome = call_in_worker("check", partial(_verdicts, name, dict(options), extent), limits, hear)
-    failed = outcome.failed
-    if failed is None:
-        return [CheckResult(**content) for content in json.loads(outcome.product[0])]
-    return [CheckResult(LASTS, False, f"{failed.message}{crashed_at(failed.log_tail)}")]
-
-
-def _verdicts(name: str, options: Mapping[str, Any], extent: Extent) -> bytes:
-    verdicts = [asdict(verdict) for verdict in check_target(name, options, extent)]
-    return json.dumps(verdicts).encode()
+    return checked_in_worker(partial(check_target, name, dict(options), extent), limits, hear)
 
 
 def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[CheckResult]:
@@ -177,8 +156,9 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     if carries_over(planner, road, list(scenes.values())):
         text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
         problems.append(("", Problem(Part.REPEATS, text)))
-    contract = [_part(part, problems, scenes) for part in Part]
-    return [*contract, *_drives(driven), _in_time(driven.plans_s, extent.within_ms)]
+    contract = [part_result(part, problems, scenes, _NOT_REACHED) for part in Part]
+    drives = drives_results(driven.records, driven.again)
+    return [*contract, *drives, in_time(driven.plans_s, extent.within_ms)]
 
 
 def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
@@ -216,40 +196,5 @@ def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
     """Return scenes out of the drives, evenly taken, and hard ones made of the first."""
     if not scenes:
         return {}
-    picked = np.unique(np.linspace(0, len(scenes) - 1, _KEPT).round().astype(np.int64)).tolist()
-    return {f"at {scenes[k].time_s:.1f} s of a drive": scenes[k] for k in picked} | hard_scenes(scenes[0])
-
-
-def _part(part: Part, problems: Sequence[tuple[str, Problem]], scenes: Mapping[str, Scene]) -> CheckResult:
-    """Return the verdict on *part*; a scene counts where nothing before kept it from being looked at."""
-    mine = [(where, problem) for where, problem in problems if problem.part is part]
-    if not mine:
-        stopped = {where for where, problem in problems if part in _NOT_REACHED.get(problem.part, ())}
-        looked_at = len(scenes) - len(stopped & scenes.keys())
-        said = counted(looked_at, "scene") if looked_at else "not looked at, see above"
-        return CheckResult(part.value, True if looked_at else None, said)
-    where, first = mine[0]
-    more = f"; {len(mine) - 1} more" if len(mine) > 1 else ""
-    return CheckResult(part.value, first.harmless, first.text + (f" ({where})" if where else "") + more)
-
-
-def _drives(driven: Driven) -> list[CheckResult]:
-    failed = [record.failure.message for record in driven.records if record.failure is not None]
-    span = sum(record.tracks.dt_s * (record.tracks.steps - 1) for record in driven.records)
-    ends = ", ".join(sorted({str(record.end) for record in driven.records}))
-    words = failed[0] if failed else f"{counted(len(driven.records), 'episode')}, {span:.0f} s: {ends}"
-    first, again = driven.records[0].tracks, driven.again.tracks
-    same = first.ids == again.ids and all(
-        getattr(first, part).tobytes() == getattr(again, part).tobytes()
-        for part in ("xy_m", "yaw_rad", "speed_mps", "valid")
-    )
-    sentence = "the same bytes" if same else "the same scene and seed led to another drive"
-    return [CheckResult(DRIVES, not failed, words), CheckResult(DRIVES_AGAIN, same, sentence)]
-
-
-def _in_time(plans_s: FloatArray, within_ms: float) -> CheckResult:
-    if not len(plans_s):
-        return CheckResult(IN_TIME, False, "no plan was made")
-    median, late = 1e3 * np.median(plans_s), 1e3 * np.percentile(plans_s, 99)
-    words = f"median {median:.1f} ms, 99 % {late:.1f} ms, of {counted(len(plans_s), 'plan')}; {within_ms:g} ms allowed"
-    return CheckResult(IN_TIME, bool(median <= within_ms), words)
+    picked = {f"at {scene.time_s:.1f} s of a drive": scene for scene in evenly(scenes)}
+    return picked | hard_scenes(scenes[0])

@@ -1,4 +1,4 @@
-"""Scenes that a planner meets sooner or later, made out of an ordinary one."""
+"""Scenes that a planner or a background policy meets sooner or later, made out of an ordinary one."""
 
 from __future__ import annotations
 
@@ -7,27 +7,64 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.frames import unit
-from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
 
 _ASIDE_M = 15.0
 _CLOSE_M = 8.0
+_CROWD = 120
 
 
-def hard_scenes(scene: Scene) -> dict[str, Scene]:
+def hard_scenes(scene: Scene, who: str = "it") -> dict[str, Scene]:
     """Return variations of *scene* by what is hard about them.
 
     Args:
         scene: an ordinary instant with others around the target.
+        who: what the target is called in their names.
     """
     variants = {
         "nobody else is there": scene.without(np.ones(scene.history.agents, dtype=np.bool_)),
-        "it stands": _standing(scene),
+        f"{who} stands": _standing(scene),
         "no route is known": replace(scene, routes=tuple(() for _ in scene.routes)),
         "nothing is known of the past": _without_past(scene),
-        "it is off the road": _aside(scene),
+        f"{who} is off the road": _aside(scene),
     }
     blocked = _blocked(scene)
-    return variants if blocked is None else {**variants, "somebody stands right before it": blocked}
+    return variants if blocked is None else {**variants, f"somebody stands right before {who}": blocked}
+
+
+def hard_scenes_of_traffic(scene: Scene) -> dict[str, Scene]:
+    """Return the same variations for who moves the others, and two that are hard for nobody else."""
+    crowd = _crowded(scene)
+    many = {} if crowd is None else {f"{_CROWD} road users are there": crowd}
+    nobody = replace(scene, movable=np.zeros(scene.history.agents, dtype=np.bool_))
+    return hard_scenes(scene, "the target") | {"nobody may be moved": nobody} | many
+
+
+def _crowded(scene: Scene) -> Scene | None:
+    """Return the scene with the others again and again, in lines behind themselves; None without any."""
+    history = scene.history
+    others = np.flatnonzero(history.valid[:, -1] & (np.arange(history.agents) != scene.target))
+    if not len(others):
+        return None
+    rows = np.resize(others, max(_CROWD - history.agents, 0))
+    place = 1 + np.arange(len(rows)) // len(others)
+    behind_m = place * (history.size_m[rows, 0] + _CLOSE_M)
+    back = behind_m[:, None, None] * unit(history.yaw_rad[rows])
+    arrays = {name: getattr(history, name)[rows] for name in TRACK_ARRAYS}
+    copies = Tracks(
+        ids=tuple(
+            f"{history.ids[row]} again {k}" for row, k in zip(rows.tolist(), place.tolist(), strict=True)
+        ),
+        t0_s=history.t0_s,
+        dt_s=history.dt_s,
+        **{**arrays, "xy_m": arrays["xy_m"] - back},
+    )
+    return replace(
+        scene,
+        history=history.joined(copies),
+        movable=np.concatenate((scene.movable, scene.movable[rows])),
+        routes=(*scene.routes, *(scene.routes[row] for row in rows.tolist())),
+    )
 
 
 def _standing(scene: Scene) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from typing import Any
 
@@ -12,20 +12,16 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.bicycle import Limits
+from advdiff_sumo.core.contract import Problem, content_of, remembers_situations, what_it_raised
 from advdiff_sumo.core.errors import EpisodeFailure, PlanRefusedError
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.plan_form import form_problem, in_float64, plan_arrays
-from advdiff_sumo.core.plug_in_source import described, raised_at
-from advdiff_sumo.core.process_end import hears_ctrl_c
-from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene
+from advdiff_sumo.core.plan_motion import SLACK_MPS, motion_faults
+from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_protocol import Planner
 
 _SEED = 20080915
-_SLACK_M, _SLACK_MPS = 0.1, 0.1
-_MAX_YAW_RATE_RADPS = 3.0
-_SHORT_SHARE = 0.1
-"""By how much the way of a step may fall short of its lower speed: a chord is shorter than its arc."""
 
 
 class Part(StrEnum):
@@ -38,21 +34,6 @@ class Part(StrEnum):
     MOTION = "motion"
     REPEATS = "repeats itself"
     SCENE = "scene left alone"
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What a planner does against a part of its contract, in one sentence.
-
-    Attributes:
-        part: of the contract.
-        text: the sentence.
-        harmless: it may do so, and is told.
-    """
-
-    part: Part
-    text: str
-    harmless: bool = False
 
 
 def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
@@ -85,10 +66,8 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
     except EpisodeFailure as error:  # one of ours, such as a planner's server, says itself what was wrong
         part = Part.FORM if isinstance(error, PlanRefusedError) else Part.RAISES
         return [Problem(part, str(error))]
-    except BaseException as error:  # a user's planner may raise anything; that is a finding
-        if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
-            raise
-        return [Problem(Part.RAISES, f"it raised {described(error)}{raised_at(error, planner)}")]
+    except BaseException as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
+        return [Problem(Part.RAISES, what_it_raised(error, planner))]
     problems = _of_plan(first, scene)
     problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
     if any(x.part is Part.FORM for x in problems):
@@ -99,7 +78,7 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
             "keep state in the memory and draw from the generator that is passed in"
         )
         problems.append(Problem(Part.REPEATS, text))
-    if _prints(given) != _prints(scene):
+    if content_of(given) != content_of(scene):
         text = "it writes into the scene, which it may: it is given a copy of its own"
         problems.append(Problem(Part.SCENE, text, harmless=True))
     return problems
@@ -110,15 +89,7 @@ def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bo
 
     A planner that raises is no matter of this check: False.
     """
-    try:
-        before = _begin(planner, road, scenes[0])[0]
-        for scene in scenes:
-            _begin(planner, road, scene)
-        return not same_plan(before, _begin(planner, road, scenes[0])[0])
-    except BaseException as error:  # found by problems_of already
-        if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
-            raise
-        return False
+    return remembers_situations(lambda scene: _begin(planner, road, scene)[0], scenes, same_plan)
 
 
 def planning_times_s(planner: Planner, road: RoadMap, scene: Scene, plans: int = 20) -> FloatArray:
@@ -175,9 +146,9 @@ def motion_problems(plan: Plan, scene: Scene) -> list[str]:
 
 def _control_problems(plan: Controls) -> list[str]:
     limits, problems = Limits(), []
-    if plan.accel_mps2.max() > limits.accel_mps2 + _SLACK_MPS:
+    if plan.accel_mps2.max() > limits.accel_mps2 + SLACK_MPS:
         problems.append(f"it accelerates by {plan.accel_mps2.max():.1f} m/s², over {limits.accel_mps2:g}")
-    if plan.accel_mps2.min() < -limits.brake_mps2 - _SLACK_MPS:
+    if plan.accel_mps2.min() < -limits.brake_mps2 - SLACK_MPS:
         problems.append(f"it brakes by {-plan.accel_mps2.min():.1f} m/s², over {limits.brake_mps2:g}")
     if np.abs(plan.steer_rad).max() > limits.steer_rad + 1e-6:
         problems.append(f"it steers by {np.abs(plan.steer_rad).max():.2f} rad, over {limits.steer_rad:g}")
@@ -186,28 +157,11 @@ def _control_problems(plan: Controls) -> list[str]:
 
 def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
     """Check every step against what a vehicle can do in ``dt_s``, the one from the present state included."""
-    row, history, limits = scene.target, scene.history, Limits()
+    row, history = scene.target, scene.history
     xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
-    yaw = np.unwrap(np.append(history.yaw_rad[row, -1], plan.yaw_rad))
+    yaw = np.append(history.yaw_rad[row, -1], plan.yaw_rad)
     speed = np.append(history.speed_mps[row, -1], plan.speed_mps)
-    stride, chord_rad = np.diff(xy, axis=0), (yaw[1:] + yaw[:-1]) / 2.0
-    forward = stride[:, 0] * np.cos(chord_rad) + stride[:, 1] * np.sin(chord_rad)
-    farthest = np.maximum(np.abs(speed[1:]), np.abs(speed[:-1])) * plan.dt_s + _SLACK_M
-    least = np.minimum(speed[1:], speed[:-1]) * plan.dt_s
-    short = least - _SHORT_SHARE * np.abs(least) - _SLACK_M
-    gain = np.diff(speed) / plan.dt_s
-    slack = _SLACK_MPS / plan.dt_s
-    faults = [
-        (np.hypot(*stride.T) > farthest, "moves farther than its speeds allow"),
-        (forward < short, "moves less far than its speeds say (box centres, from now + dt on)"),
-        (gain > limits.accel_mps2 + slack, f"accelerates by more than {limits.accel_mps2:g} m/s²"),
-        (gain < -limits.brake_mps2 - slack, f"brakes by more than {limits.brake_mps2:g} m/s²"),
-        (
-            np.abs(np.diff(yaw)) > _MAX_YAW_RATE_RADPS * plan.dt_s,
-            f"turns faster than {_MAX_YAW_RATE_RADPS:g} rad/s",
-        ),
-    ]
-    return [f"step {int(np.argmax(bad))} {words}" for bad, words in faults if bad.any()]
+    return motion_faults(xy, yaw, speed, plan.dt_s)
 
 
 def same_plan(one: Plan, other: Plan) -> bool:
@@ -217,10 +171,3 @@ def same_plan(one: Plan, other: Plan) -> bool:
     pairs = ((getattr(one, name), getattr(other, name)) for name in plan_arrays(one))
     same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
     return same and one.dt_s == other.dt_s
-
-
-def _prints(scene: Scene) -> tuple[object, ...]:
-    """Return everything in *scene* as values that can be compared."""
-    arrays = tuple(getattr(scene.history, name).tobytes() for name in TRACK_ARRAYS)
-    rest = (scene.history.ids, scene.target, scene.movable.tobytes(), scene.routes)
-    return (*arrays, *rest, tuple(sorted(scene.signals.items())))

@@ -22,7 +22,7 @@ from advdiff_sumo.sim.plan_memo import PlanSource
 from advdiff_sumo.sim.plan_validation import check_joint_form, check_joint_plan
 from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.world import World
-from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
+from advdiff_sumo.traffic.sumo_traffic import plans_nothing
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Background:
 
     def _plan(self, scene: Scene, steps: int) -> MovedMotion:
         plan, took_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
-        if type(self.source.policy) is not SumoTraffic:  # which plans nothing
+        if not plans_nothing(self.source.policy):
             self.planning_s.append(took_s)
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.plan import MAX_SPEED_MPS, SLACK_M, JointPlan
-from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, stretches
+from advdiff_sumo.core.contract import (
+    Problem,
+    content_of,
+    only_added_to,
+    remembers_situations,
+    what_it_raised,
+)
+from advdiff_sumo.core.joint_plan_form import farthest_m, joint_form_problem, joint_values_problem
+from advdiff_sumo.core.plan import MAX_SPEED_MPS, JointPlan
+from advdiff_sumo.core.plan_form import interval_problem
+from advdiff_sumo.core.plan_motion import motion_faults
+from advdiff_sumo.core.scene import Scene, Tracks
 
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
@@ -18,6 +29,22 @@ if TYPE_CHECKING:
 
 _SEED = 20240501
 _CLOCK_S = 1e-6
+_COPY = "copy what you change, as by scene.copied() or log.copied()"
+_WHOM = "plan for those of scene.movable, with the classes and sizes of scene.history"
+_HOW = "begin where scene.history ends, and let place, heading and speed agree"
+
+
+class PolicyPart(StrEnum):
+    """Parts of the contract of a policy, in the order in which they are looked at."""
+
+    METHODS = "methods"
+    RAISES = "raises nothing"
+    FORM = "form"
+    VEHICLES = "moves whom it may"
+    NUMBERS = "numbers"
+    MOTION = "motion"
+    REPEATS = "repeats itself"
+    GIVEN = "inputs left alone"
 
 
 def check_policy(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[str]:
@@ -31,25 +58,53 @@ def check_policy(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks
         scene: a first instant, with its background movable.
         log: what the vehicles did, or None.
     """
+    return [problem.text for problem in policy_problems(policy, road, scene, log) if not problem.harmless]
+
+
+def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[Problem]:
+    """Return what :func:`check_policy` finds, each with the part of the contract that it belongs to."""
     for method in ("start", "plan"):
         if not callable(getattr(policy, method, None)):
-            return [f"it has no method {method}"]
-    scene_before, log_before = _prints(scene), _track_prints(log)
+            return [Problem(PolicyPart.METHODS, f"it has no method {method}")]
+    before = content_of(scene), content_of(log)
+    later_scene = replace(scene, history=scene.history.shifted(scene.history.dt_s))
     try:
         memory = policy.start(road, scene, log, np.random.default_rng(_SEED))
-        first = _plan(policy, road, scene, memory)
-        again = _plan(policy, road, scene, memory)
-        later_scene = replace(scene, history=scene.history.shifted(scene.history.dt_s))
-        later = _plan(policy, road, later_scene, memory)
+        started = content_of(memory, (road,))
+        restarted = content_of(policy.start(road, scene, log, np.random.default_rng(_SEED)), (road,))
+        plans = [_plan(policy, road, now, memory) for now in (scene, scene, later_scene)]
     except _BrokenContractError as error:
-        return [str(error)]
-    except Exception as error:  # noqa: BLE001 - a user's policy may raise anything; that is a finding
-        return [f"it raised {type(error).__name__}: {error}"]
-    return [
-        *_plan_problems(first, scene),
-        *(f"{problem} (planning {scene.history.dt_s} s later)" for problem in _clock(later, later_scene)),
-        *_purity(first, again, scene_before == _prints(scene), log_before == _track_prints(log)),
-    ]
+        return [Problem(PolicyPart.FORM, str(error))]
+    except BaseException as error:  # noqa: BLE001 - a user's policy may raise anything; that is a finding
+        return [Problem(PolicyPart.RAISES, what_it_raised(error, policy))]
+    later = (
+        f"{problem} (planning {scene.history.dt_s} s later)" for problem in _clock(plans[2], later_scene)
+    )
+    problems = [*_plan_problems(plans[0], scene), *(Problem(PolicyPart.FORM, text) for text in later)]
+    if any(problem.part is PolicyPart.FORM for problem in problems):
+        return problems
+    problems += _repeats(only_added_to(started, restarted), content_of(plans[0]) == content_of(plans[1]))
+    after = content_of(scene), content_of(log), content_of(memory, (road,))
+    return [*problems, *_changes((*before, started), after)]
+
+
+def plans_from_memory_of_others(
+    policy: TrafficPolicy, road: RoadMap, situations: Sequence[tuple[Scene, Tracks | None]]
+) -> bool:
+    """Return whether the first plan in the first scene changes once *policy* has planned in all of them.
+
+    Args:
+        policy: the policy.
+        road: the map of the scenes.
+        situations: scenes with their logs, one at least; they are left alone.
+    """
+
+    def first_plan(situation: tuple[Scene, Tracks | None]) -> object:
+        scene, log = situation[0].copied(), situation[1] and situation[1].copied()
+        memory = policy.start(road, scene, log, np.random.default_rng(_SEED))
+        return content_of(_plan(policy, road, scene, memory))
+
+    return remembers_situations(first_plan, situations, lambda one, other: one == other)
 
 
 class _BrokenContractError(Exception):
@@ -57,26 +112,34 @@ class _BrokenContractError(Exception):
 
 
 def _plan(policy: TrafficPolicy, road: RoadMap, scene: Scene, memory: Any) -> JointPlan:
+    """Return a plan in arrays of its own: the policy may write its next one into the same."""
     returned: Any = policy.plan(road, scene, memory, np.random.default_rng(_SEED))
     if not (isinstance(returned, tuple) and len(returned) == 2):
         raise _BrokenContractError("plan must return (JointPlan, memory)")
     plan = returned[0]
     if not isinstance(plan, JointPlan) or not isinstance(plan.tracks, Tracks):
         raise _BrokenContractError(f"plan must return a JointPlan of Tracks first, not {type(plan).__name__}")
-    return plan
+    return replace(plan, tracks=plan.tracks.copied())
 
 
-def _plan_problems(plan: JointPlan, scene: Scene) -> Iterator[str]:
-    yield from _clock(plan, scene)
-    yield from _agents(plan.tracks, scene)
-    yield from _values(plan.tracks)
-    yield from _continuity(plan.tracks, scene)
+def _plan_problems(plan: JointPlan, scene: Scene) -> list[Problem]:
+    """Return what is wrong with *plan*, in the order of the parts; what a run refuses for another reason comes last."""
+    clock = [Problem(PolicyPart.FORM, text) for text in _clock(plan, scene)]
+    if clock:
+        return clock
+    problems = [Problem(PolicyPart.VEHICLES, text, remedy=_WHOM) for text in _agents(plan.tracks, scene)]
+    numbers = [Problem(PolicyPart.NUMBERS, text) for text in _values(plan.tracks)]
+    motion = () if numbers else _motion(plan, scene)
+    problems += [*numbers, *(Problem(PolicyPart.MOTION, text, remedy=_HOW) for text in motion)]
+    refused = "" if problems else joint_form_problem(plan) or joint_values_problem(plan)
+    return [Problem(PolicyPart.FORM, f"a run refuses its plan: {refused}")] if refused else problems
 
 
 def _clock(plan: JointPlan, scene: Scene) -> Iterator[str]:
     tracks, model_s = plan.tracks, scene.history.dt_s
-    if not (np.isfinite(tracks.dt_s) and tracks.dt_s > 0.0):
-        yield f"the plan's dt_s is {tracks.dt_s}; it must be positive"
+    interval = interval_problem(tracks.dt_s)
+    if interval:
+        yield f"the plan's dt_s {interval}"
         return
     expected = scene.time_s + tracks.dt_s
     if not abs(tracks.t0_s - expected) <= _CLOCK_S:
@@ -121,39 +184,62 @@ def _values(tracks: Tracks) -> Iterator[str]:
         yield f"valid is {tracks.valid.dtype}; it must be bool"
 
 
-def _continuity(tracks: Tracks, scene: Scene) -> Iterator[str]:
-    bound = MAX_SPEED_MPS * tracks.dt_s + SLACK_M
+def _motion(plan: JointPlan, scene: Scene) -> Iterator[str]:
+    """Yield jumps, and what no vehicle can do of what the bicycle model drives until the next plan."""
+    tracks, bound = plan.tracks, farthest_m(plan.tracks.dt_s)
+    driven = 1 + int(np.ceil(scene.history.dt_s / tracks.dt_s - _CLOCK_S))
     for row, name in enumerate(tracks.ids):
-        at = scene.history.index.get(name)
-        path = tracks.xy_m[row]
-        if at is not None and scene.history.valid[at, -1]:
-            path = np.vstack((scene.history.xy_m[at, -1:], path))
-        jumps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+        xy, yaw, speed, there = _from_now(tracks, row, scene)
+        jumps = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
         if (jumps > bound).any():
             yield (
                 f"'{name}' jumps {np.nanmax(jumps):.1f} m in {tracks.dt_s:g} s, beyond {MAX_SPEED_MPS:g} m/s"
             )
+        elif not plan.exact:
+            for start, stop in stretches(there[:driven])[:1]:
+                faults = motion_faults(xy[start:stop], yaw[start:stop], speed[start:stop], tracks.dt_s, start)
+                yield from (f"'{name}': {fault}" for fault in faults)
 
 
-def _purity(first: JointPlan, again: JointPlan, scene_kept: bool, log_kept: bool) -> Iterator[str]:
-    if not scene_kept:
-        yield "it changes the scene that it was given"
-    if not log_kept:
-        yield "it changes the log that it was given"
-    if _track_prints(first.tracks) != _track_prints(again.tracks) or first.exact != again.exact:
-        yield (
+def _from_now(tracks: Tracks, row: int, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return (T + 1, …) states of a vehicle of the plan, from where the scene has it now, and when it is there."""
+    now = scene.history.window(scene.history.steps - 1, scene.history.steps)
+    at = now.index.get(tracks.ids[row])
+    if at is None or not now.valid[at, -1]:
+        xy, yaw, speed, there = np.full((1, 2), np.nan), [np.nan], [np.nan], [False]
+    else:
+        xy, yaw, speed, there = now.xy_m[at], now.yaw_rad[at], now.speed_mps[at], [True]
+    return (
+        np.concatenate((xy, tracks.xy_m[row])),
+        np.append(yaw, tracks.yaw_rad[row]),
+        np.append(speed, tracks.speed_mps[row]),
+        np.append(there, tracks.valid[row]),
+    )
+
+
+def _repeats(starts_same: bool, plans_same: bool) -> Iterator[Problem]:
+    if not starts_same:
+        text = (
+            "start returns two different memories for the same scene and random numbers: draw from rng only"
+        )
+        yield Problem(PolicyPart.REPEATS, text)
+    if not plans_same:
+        text = (
             "two plans from the same memory and random numbers differ: "
             "draw from rng only, and return new memory instead of changing the old"
         )
+        yield Problem(PolicyPart.REPEATS, text)
 
 
-def _prints(scene: Scene) -> tuple[object, ...]:
-    flags = scene.movable.tobytes()
-    return (*_track_prints(scene.history), scene.target, flags, scene.routes, dict(scene.signals))
-
-
-def _track_prints(tracks: Tracks | None) -> tuple[object, ...]:
-    if tracks is None:
-        return ()
-    arrays = (np.asarray(getattr(tracks, name)).tobytes() for name in TRACK_ARRAYS)
-    return (tracks.ids, tracks.t0_s, tracks.dt_s, *arrays)
+def _changes(before: tuple[object, ...], after: tuple[object, ...]) -> Iterator[Problem]:
+    """Yield which of scene, log and memory hold something else than before; tables in the memory may be caches."""
+    remedies = {"scene": _COPY, "log": _COPY, "memory": "return new memory instead"}
+    for (what, remedy), old, new in zip(remedies.items(), before, after, strict=True):
+        if old != new:
+            cache = what == "memory" and only_added_to(old, new)
+            text = (
+                "it adds to tables in its memory, as a cache may"
+                if cache
+                else f"it changes the {what} that it was given"
+            )
+            yield Problem(PolicyPart.GIVEN, text, cache, "" if cache else remedy)

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from advdiff_sumo.maps import RoadMap
+    from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 
 class SumoTraffic:
@@ -29,3 +30,8 @@ class SumoTraffic:
         """Return a plan of no vehicles, one model step long."""
         dt_s = scene.history.dt_s
         return JointPlan(Tracks.empty(steps=1, dt_s=dt_s, t0_s=scene.time_s + dt_s)), None
+
+
+def plans_nothing(policy: TrafficPolicy) -> bool:
+    """Return whether SUMO drives everybody under *policy*: it plans as :class:`SumoTraffic` does."""
+    return getattr(type(policy), "plan", None) is SumoTraffic.plan

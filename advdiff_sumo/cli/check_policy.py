@@ -1,0 +1,60 @@
+"""``advdiff-sumo check-policy``: whether a background policy keeps its contract."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from advdiff_sumo.cli.contract_checks import TIMEOUT_S, Episodes, Horizon, Net, Timeout, tell_checks
+from advdiff_sumo.cli.run import options_given
+from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, end_as_by_ctrl_c, limits_of
+from advdiff_sumo.core.threads import one_thread_for_good
+
+
+def check_policy(
+    name: Annotated[
+        str, typer.Argument(help="As of --background: scripted, a plug-in's name, or package.module:Class.")
+    ],
+    net: Net = "downtown",
+    assign: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="An option, as of run: --set background_options.NAME=VALUE, scene.NAME, sim.NAME."
+        ),
+    ] = None,
+    episodes: Episodes = 2,
+    horizon: Horizon = 5.0,
+    within_ms: Annotated[
+        float | None, typer.Option(min=0.0, help="Longest median time of a plan.", show_default="any")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of traffic and policy.")] = 0,
+    timeout: Timeout = TIMEOUT_S,
+    memory: Memory = MEMORY_MB,
+) -> None:
+    """Check a background policy: its contract, hard scenes, that it repeats itself, planning times, its traffic.
+
+    advdiff-sumo check-policy my_policy:MyPolicy --set background_options.gap_m=3
+
+    It is checked in a process of its own, with SUMO's IDM as the target. Contacts between background vehicles and road
+    departures are counted, and no contract forbids them.
+
+    Exit code 0: it may be used; 1: a check fails; 2: there is no such policy, or it cannot be made.
+    """
+    end_as_by_ctrl_c()
+    one_thread_for_good()
+    from advdiff_sumo.experiments.check_results import checked_in_worker  # late: --help needs none of it
+    from advdiff_sumo.experiments.policy_trial import check_background
+
+    given: dict[str, Any] = {"background": name, "net": net, "episodes": episodes, "seed": seed}
+    given |= {"horizon_s": horizon, "scene": {"scenes_per_warmup": episodes}}
+    given |= {"sim": {"record_natural": False, "record_plans": 0}}
+    options = options_given(None, given, {}, assign or [])
+    check = partial(check_background, options, math.inf if within_ms is None else within_ms)
+    with ExitStack() as stack:
+        limits = limits_of(stack, timeout, math.inf, memory)
+        verdicts = checked_in_worker(check, limits, lambda line: typer.echo(line, err=True))
+    tell_checks(name, verdicts)

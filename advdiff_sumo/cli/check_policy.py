@@ -12,6 +12,7 @@ import typer
 from advdiff_sumo.cli.contract_checks import TIMEOUT_S, Episodes, Horizon, Net, Timeout, tell_checks
 from advdiff_sumo.cli.run import options_given
 from advdiff_sumo.cli.worker_flags import MEMORY_MB, Memory, end_as_by_ctrl_c, limits_of
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 
@@ -49,6 +50,7 @@ def check_policy(
     from advdiff_sumo.experiments.check_results import checked_in_worker  # late: --help needs none of it
     from advdiff_sumo.experiments.policy_trial import check_background
 
+    _must_be_of_run(assign or [])
     given: dict[str, Any] = {"background": name, "net": net, "episodes": episodes, "seed": seed}
     given |= {"horizon_s": horizon, "scene": {"scenes_per_warmup": episodes}}
     given |= {"sim": {"record_natural": False, "record_plans": 0}}
@@ -58,3 +60,15 @@ def check_policy(
         limits = limits_of(stack, timeout, math.inf, memory)
         verdicts = checked_in_worker(check, limits, lambda line: typer.echo(line, err=True))
     tell_checks(name, verdicts)
+
+
+def _must_be_of_run(assignments: list[str]) -> None:
+    """Refuse an option of the policy that is given as if it were one of the run."""
+    from advdiff_sumo.sim.run_episodes import RunOptions  # late, as above
+
+    for assignment in assignments:
+        path = assignment.partition("=")[0].strip()
+        if path.partition(".")[0] not in RunOptions.model_fields:
+            raise ConfigError(
+                f"--set {assignment}: run has no option '{path}'; one of the policy is background_options.{path}"
+            )

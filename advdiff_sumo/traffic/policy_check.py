@@ -50,7 +50,8 @@ class PolicyPart(StrEnum):
 def check_policy(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[str]:
     """Return what *policy* does against its contract, one sentence each; empty when it keeps it.
 
-    Plans twice from the same memory and random numbers, and once more half a second later on the clock.
+    Plans twice from the same memory and random numbers, and once more half a second later on the clock, each time in a
+    copy of *scene*, as in an episode.
 
     Args:
         policy: the policy.
@@ -66,13 +67,13 @@ def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tra
     for method in ("start", "plan"):
         if not callable(getattr(policy, method, None)):
             return [Problem(PolicyPart.METHODS, f"it has no method {method}")]
-    before = content_of(scene), content_of(log)
+    before, given = (content_of(scene), content_of(log)), [scene.copied() for _ in range(4)]
     later_scene = replace(scene, history=scene.history.shifted(scene.history.dt_s))
     try:
-        memory = policy.start(road, scene, log, np.random.default_rng(_SEED))
+        memory = policy.start(road, given[0], log, np.random.default_rng(_SEED))
         started = content_of(memory, (road,))
-        restarted = content_of(policy.start(road, scene, log, np.random.default_rng(_SEED)), (road,))
-        plans = [_plan(policy, road, now, memory) for now in (scene, scene, later_scene)]
+        restarted = content_of(policy.start(road, given[1], log, np.random.default_rng(_SEED)), (road,))
+        plans = [_plan(policy, road, now, memory) for now in (*given[2:], later_scene.copied())]
     except _BrokenContractError as error:
         return [Problem(PolicyPart.FORM, str(error))]
     except BaseException as error:  # noqa: BLE001 - a user's policy may raise anything; that is a finding
@@ -84,8 +85,8 @@ def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tra
     if any(problem.part is PolicyPart.FORM for problem in problems):
         return problems
     problems += _repeats(only_added_to(started, restarted), content_of(plans[0]) == content_of(plans[1]))
-    after = content_of(scene), content_of(log), content_of(memory, (road,))
-    return [*problems, *_changes((*before, started), after)]
+    changed = next((content for content in map(content_of, given) if content != before[0]), before[0])
+    return [*problems, *_changes((*before, started), (changed, content_of(log), content_of(memory, (road,))))]
 
 
 def plans_from_memory_of_others(
@@ -124,9 +125,9 @@ def _plan(policy: TrafficPolicy, road: RoadMap, scene: Scene, memory: Any) -> Jo
 
 def _plan_problems(plan: JointPlan, scene: Scene) -> list[Problem]:
     """Return what is wrong with *plan*, in the order of the parts; what a run refuses for another reason comes last."""
-    clock = [Problem(PolicyPart.FORM, text) for text in _clock(plan, scene)]
-    if clock:
-        return clock
+    form = [Problem(PolicyPart.FORM, text) for text in (*_clock(plan, scene), *_arrays(plan.tracks))]
+    if form:
+        return form
     problems = [Problem(PolicyPart.VEHICLES, text, remedy=_WHOM) for text in _agents(plan.tracks, scene)]
     numbers = [Problem(PolicyPart.NUMBERS, text) for text in _values(plan.tracks)]
     motion = () if numbers else _motion(plan, scene)
@@ -141,11 +142,21 @@ def _clock(plan: JointPlan, scene: Scene) -> Iterator[str]:
     if interval:
         yield f"the plan's dt_s {interval}"
         return
+    if not isinstance(tracks.t0_s, int | float | np.number):
+        yield f"the plan's t0_s is of type {type(tracks.t0_s).__name__}, not a number of seconds"
+        return
     expected = scene.time_s + tracks.dt_s
     if not abs(tracks.t0_s - expected) <= _CLOCK_S:
         yield f"the plan starts at t0_s = {tracks.t0_s:g}, expected now + dt_s = {expected:g}"
     if tracks.agents and tracks.steps * tracks.dt_s < model_s - _CLOCK_S:
         yield f"the plan lasts {tracks.steps * tracks.dt_s:g} s, less than one model step of {model_s:g} s"
+
+
+def _arrays(tracks: Tracks) -> Iterator[str]:
+    for name in ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps"):
+        dtype = getattr(tracks, name).dtype
+        if dtype.kind not in "fiu":
+            yield f"{name} holds {dtype}, not numbers"
 
 
 def _agents(tracks: Tracks, scene: Scene) -> Iterator[str]:

@@ -30,12 +30,18 @@ import time
 from pathlib import Path
 
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
+from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 
 class Endless(LaneGraphPlanner):
     def start(self, road, scene, rng):
         Path("began").touch()
         time.sleep(1000.0)
+
+
+class EndlessTraffic(SumoTraffic):
+    def start(self, road, scene, log, rng):
+        Endless.start(self, road, scene, rng)
 """
 
 
@@ -127,16 +133,23 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
     assert not (folder / "new").exists()
 
 
+@pytest.mark.parametrize(
+    ("check", "by"),
+    [
+        (("check-planner", "endless:Endless"), signal.SIGTERM),
+        (("check-policy", "endless:EndlessTraffic"), signal.SIGINT),
+    ],
+)
 def test_a_check_that_is_told_to_end_leaves_no_folder(
-    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, check: tuple[str, str], by: signal.Signals
 ) -> None:
     folder = _place(grid, tmp_path)
     (folder / "endless.py").write_text(ENDLESS)
     words = ("--net", "grid.net.xml", "--episodes", "1", "--horizon", "2")
     with tempfile.TemporaryDirectory() as temporary:  # the tests' own is too long for sockets
         monkeypatch.setenv("TMPDIR", temporary)
-        running = begin("check-planner", "endless:Endless", *words, cwd=folder)
-        _interrupted_while_it_plans(running, folder, signal.SIGTERM)
+        running = begin(*check, *words, cwd=folder)
+        _interrupted_while_it_plans(running, folder, by)
         assert running.returncode == 130
         assert not list(Path(temporary).glob("advdiff-*"))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.hard_scenes import hard_scenes
+from advdiff_sumo.planners.hard_scenes import hard_scenes, hard_scenes_of_traffic
 from advdiff_sumo.planners.planner_check import carries_over
 from advdiff_sumo.planners.planner_registry import make_target
 
@@ -37,6 +37,21 @@ def test_each_is_what_it_says(crossing: Callable[..., RoadMap]) -> None:
 def test_without_others_nobody_can_stand_in_the_way(crossing: Callable[..., RoadMap]) -> None:
     scene = make_scene(crossing(), [Car("west_in_0", 80.0, 9.0)], ("west_in", "east_out"))
     assert "somebody stands right before it" not in hard_scenes(scene)
+
+
+def test_who_moves_the_others_meets_the_same_and_two_more(crossing: Callable[..., RoadMap]) -> None:
+    cars = [Car("west_in_0", 80.0, 9.0), Car("east_in_0", 80.0, 8.0), Car("south_in_0", 90.0, 7.0)]
+    scene = make_scene(crossing(), cars, ("west_in", "east_out"))
+    scene.movable[1:] = True
+    made = hard_scenes_of_traffic(scene)
+    assert {name.replace("the target", "it") for name in made} >= hard_scenes(scene).keys()
+    assert not made["nobody may be moved"].movable.any()
+    crowd = made["120 road users are there"]
+    assert (crowd.history.agents, len(crowd.routes), int(crowd.movable.sum())) == (120, 120, 119)
+    assert crowd.history.index["car1 again 1"] == 3
+    apart_m = np.hypot(*(crowd.history.xy_m[3, -1] - scene.history.xy_m[1, -1]))
+    assert apart_m == pytest.approx(4.6 + 8.0)
+    assert "120 road users are there" not in hard_scenes_of_traffic(made["nobody else is there"])
 
 
 def test_a_planner_that_learns_between_scenes_is_noticed(crossing: Callable[..., RoadMap]) -> None:

@@ -12,7 +12,7 @@ import pytest
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.policy_check import check_policy
+from advdiff_sumo.traffic.policy_check import check_policy, plans_from_memory_of_others, policy_problems
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 from advdiff_sumo.traffic.replay import Replay
 from examples.coast import Coast
@@ -75,6 +75,9 @@ def _raise(_: Tracks) -> None:
         (lambda t: t.shifted(-0.1), "starts at t0_s = 0, expected now + dt_s = 0.1"),
         (lambda t: replace(t, t0_s=0.1), "planning 0.5 s later"),
         (lambda t: t.window(0, 2), "lasts 0.2 s, less than one model step"),
+        (lambda t: replace(t, dt_s="0.1"), "dt_s is of type str, not a number of seconds"),
+        (lambda t: replace(t, t0_s="0.1"), "t0_s is of type str, not a number of seconds"),
+        (lambda t: replace(t, xy_m=t.xy_m.astype(object)), "xy_m holds object, not numbers"),
     ],
 )
 def test_each_breach_is_found(breach: Any, said: str, road: RoadMap, scene: Scene, log: Tracks) -> None:
@@ -91,6 +94,96 @@ def test_a_changed_scene_or_log_is_found(road: RoadMap, scene: Scene, log: Track
 
     problems = check_policy(Vandal(), road, scene, log)
     assert problems == ["it changes the scene that it was given", "it changes the log that it was given"]
+
+
+class Coasting(Coast):
+    """Coasts; the classes below differ from it in what their names say."""
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
+        return {"plans": 0, "paths": {}}
+
+
+class Counts(Coasting):
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        memory["plans"] += 1
+        return super().plan(road, scene, memory, rng)
+
+
+class Caches(Coasting):
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        memory["paths"][scene.target_id] = "a lane"
+        return super().plan(road, scene, memory, rng)
+
+
+class StartsByChance(Coasting):
+    chance = np.random.default_rng(0)
+
+    def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
+        return self.chance.random()
+
+
+class StopsAtOnce(Coasting):
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        plan, memory = super().plan(road, scene, memory, rng)
+        return replace(plan, tracks=replace(plan.tracks, speed_mps=0.0 * plan.tracks.speed_mps)), memory
+
+
+class InItsOwnFrame(Coasting):
+    """Plans well, having moved all that it sees."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        plan = super().plan(road, scene, memory, rng)
+        scene.history.xy_m[...] -= 1000.0
+        return plan
+
+
+class NamesByNumber(Coasting):
+    """Lets in a vehicle whose name is a number."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        plan, memory = super().plan(road, scene, memory, rng)
+        return JointPlan(replace(plan.tracks.rows([0]), ids=(7,))), memory  # type: ignore[arg-type] # on purpose
+
+
+@pytest.mark.parametrize(
+    ("policy", "part", "said"),
+    [
+        (Counts(), "inputs left alone", "it changes the memory that it was given"),
+        (InItsOwnFrame(), "inputs left alone", "it changes the scene that it was given"),
+        (StartsByChance(), "repeats itself", "start returns two different memories"),
+        (StopsAtOnce(), "motion", "'a': step 1 moves farther than its speeds allow"),
+        (StopsAtOnce(), "motion", "'a': step 0 brakes by more than 9 m/s²"),
+        (NamesByNumber(), "form", "a run refuses its plan: for a vehicle whose name is no text"),
+    ],
+)
+def test_the_part_of_the_contract_is_named(
+    policy: Any, part: str, said: str, road: RoadMap, scene: Scene, log: Tracks
+) -> None:
+    problems = policy_problems(policy, road, scene, log)
+    assert {problem.part for problem in problems} == {part}
+    assert any(problem.text.startswith(said) for problem in problems), problems
+
+
+def test_a_cache_in_the_memory_is_told_and_kept(road: RoadMap, scene: Scene, log: Tracks) -> None:
+    (told,) = policy_problems(Caches(), road, scene, log)
+    assert (told.harmless, told.text) == (True, "it adds to tables in its memory, as a cache may")
+    assert check_policy(Caches(), road, scene, log) == []
+
+
+def test_what_a_policy_keeps_between_episodes_is_found(road: RoadMap, scene: Scene, log: Tracks) -> None:
+    class Grows(Coasting):
+        """Plans longer after every third plan."""
+
+        plans = 0
+
+        def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+            Grows.plans += 1
+            self.steps = 10 + Grows.plans // 3
+            return super().plan(road, scene, memory, rng)
+
+    situations = [(scene, log), (scene.without(np.ones(4, dtype=np.bool_)), log)]
+    assert plans_from_memory_of_others(Grows(), road, situations)
+    assert not plans_from_memory_of_others(Coasting(), road, situations)
 
 
 def test_hidden_randomness_is_found(road: RoadMap, scene: Scene, log: Tracks) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.contract import Problem
-from advdiff_sumo.core.errors import PlanRefusedError
+from advdiff_sumo.core.errors import PlanRefusedError, SceneError
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import Scene, Tracks
@@ -113,9 +113,15 @@ def check_background(options: RunOptions, within_ms: float = math.inf) -> list[C
 
 
 def drive_traffic(run: Run) -> DrivenTraffic:
-    """Run the episodes, the first one twice."""
+    """Run the episodes, the first one twice.
+
+    Raises:
+        SceneError: there is no seed scene.
+    """
     watched = WatchedPolicy(run.policy)
     starts = run.scene_batch(0, run.options.episodes)
+    if not starts:
+        raise SceneError(run.why_no_scene())
     ran = [replace(run, policy=watched).episode(k, start).run() for k, start in enumerate(starts)]
     again, _ = run.episode(0, starts[0]).run()
     times = np.array([took for _, timing in ran for took in timing.background_plans_s])

@@ -83,7 +83,7 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
     for name in _listed(values.get("net")):
         if ".net.xml" not in name:
             find_net(name)
-    if verb == "run":
+    if verb in ("run", "check-policy"):
         settings: dict[str, Any] = {}
         for assignment in values["assign"] or ():
             set_dotted(settings, assignment)

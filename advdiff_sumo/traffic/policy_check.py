@@ -81,7 +81,7 @@ def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tra
     later = (
         f"{problem} (planning {scene.history.dt_s} s later)" for problem in _clock(plans[2], later_scene)
     )
-    problems = [*_plan_problems(plans[0], scene), *(Problem(PolicyPart.FORM, text) for text in later)]
+    problems = [*_plan_problems(plans[0], scene, log), *(Problem(PolicyPart.FORM, text) for text in later)]
     if any(problem.part is PolicyPart.FORM for problem in problems):
         return problems
     problems += _repeats(only_added_to(started, restarted), content_of(plans[0]) == content_of(plans[1]))
@@ -123,12 +123,12 @@ def _plan(policy: TrafficPolicy, road: RoadMap, scene: Scene, memory: Any) -> Jo
     return replace(plan, tracks=plan.tracks.copied())
 
 
-def _plan_problems(plan: JointPlan, scene: Scene) -> list[Problem]:
+def _plan_problems(plan: JointPlan, scene: Scene, log: Tracks | None) -> list[Problem]:
     """Return what is wrong with *plan*, in the order of the parts; what a run refuses for another reason comes last."""
     form = [Problem(PolicyPart.FORM, text) for text in (*_clock(plan, scene), *_arrays(plan.tracks))]
     if form:
         return form
-    problems = [Problem(PolicyPart.VEHICLES, text, remedy=_WHOM) for text in _agents(plan.tracks, scene)]
+    problems = [Problem(PolicyPart.VEHICLES, text, remedy=_WHOM) for text in _agents(plan, scene, log)]
     numbers = [Problem(PolicyPart.NUMBERS, text) for text in _values(plan.tracks)]
     motion = () if numbers else _motion(plan, scene)
     problems += [*numbers, *(Problem(PolicyPart.MOTION, text, remedy=_HOW) for text in motion)]
@@ -159,11 +159,13 @@ def _arrays(tracks: Tracks) -> Iterator[str]:
             yield f"{name} holds {dtype}, not numbers"
 
 
-def _agents(tracks: Tracks, scene: Scene) -> Iterator[str]:
-    history = scene.history
+def _agents(plan: JointPlan, scene: Scene, log: Tracks | None) -> Iterator[str]:
+    tracks, history = plan.tracks, scene.history
     for row, name in enumerate(tracks.ids):
         at = history.index.get(name)
         if at is None:
+            if log is not None and name in log.index and not plan.exact:
+                yield f"it lets in '{name}', whom the scene's log has: give who comes in another id"
             continue
         if name == scene.target_id:
             yield f"it plans for the target '{name}'"

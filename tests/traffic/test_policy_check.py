@@ -145,6 +145,14 @@ class NamesByNumber(Coasting):
         return JointPlan(replace(plan.tracks.rows([0]), ids=(7,))), memory  # type: ignore[arg-type] # on purpose
 
 
+class BringsLogged(Coasting):
+    """Lets in a vehicle of the log that is not there now."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
+        plan, memory = super().plan(road, scene, memory, rng)
+        return JointPlan(replace(plan.tracks.rows([0]), ids=("c",))), memory
+
+
 @pytest.mark.parametrize(
     ("policy", "part", "said"),
     [
@@ -153,6 +161,7 @@ class NamesByNumber(Coasting):
         (StartsByChance(), "repeats itself", "start returns two different memories"),
         (StopsAtOnce(), "motion", "'a': step 1 moves farther than its speeds allow"),
         (StopsAtOnce(), "motion", "'a': step 0 brakes by more than 9 m/s²"),
+        (BringsLogged(), "moves whom it may", "it lets in 'c', whom the scene's log has"),
         (NamesByNumber(), "form", "a run refuses its plan: for a vehicle whose name is no text"),
     ],
 )

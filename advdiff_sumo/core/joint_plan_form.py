@@ -14,7 +14,7 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 
 def joint_form_problem(plan: JointPlan) -> str:
     """Return what is wrong with the form of *plan*, as the object of "it planned"; "" where nothing is."""
-    tracks = plan.tracks
+    tracks: Any = plan.tracks
     if not isinstance(tracks, Tracks):
         return f"tracks of type {type(tracks).__name__}, not Tracks"
     problem = interval_problem(tracks.dt_s)

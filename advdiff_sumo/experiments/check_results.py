@@ -66,8 +66,8 @@ def _as_bytes(check: Callable[[], list[CheckResult]]) -> bytes:
 
 def evenly(items: Sequence[_Item]) -> list[_Item]:
     """Return some of *items*, evenly taken, the first and the last among them."""
-    picked = np.unique(np.linspace(0, len(items) - 1, _KEPT).round().astype(np.int64)) if items else []
-    return [items[k] for k in picked]
+    places = np.linspace(0, len(items) - 1, min(_KEPT, len(items))).round().astype(np.int64)
+    return [items[k] for k in np.unique(places).tolist()]
 
 
 def part_result(

@@ -142,8 +142,9 @@ def _clock(plan: JointPlan, scene: Scene) -> Iterator[str]:
     if interval:
         yield f"the plan's dt_s {interval}"
         return
-    if not isinstance(tracks.t0_s, int | float | np.number):
-        yield f"the plan's t0_s is of type {type(tracks.t0_s).__name__}, not a number of seconds"
+    t0_s: Any = tracks.t0_s
+    if not isinstance(t0_s, int | float | np.number):
+        yield f"the plan's t0_s is of type {type(t0_s).__name__}, not a number of seconds"
         return
     expected = scene.time_s + tracks.dt_s
     if not abs(tracks.t0_s - expected) <= _CLOCK_S:

@@ -40,7 +40,7 @@ def check_policy(
 
     advdiff-sumo check-policy my_policy:MyPolicy --set background_options.gap_m=3
 
-    It is checked in a process of its own, with SUMO's IDM as the target. Contacts between background vehicles and road
+    It is checked in a process of its own, with SUMO's IDM as the target. Collisions of background vehicles and road
     departures are counted, and no contract forbids them.
 
     Exit code 0: it may be used; 1: a check fails; 2: there is no such policy, or it cannot be made.

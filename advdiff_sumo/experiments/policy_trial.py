@@ -172,7 +172,7 @@ def _contract(
 def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
     """Return counts of what the contract does not forbid; they are told, not judged."""
     faults = [fault for record in records for fault in implausibilities(record, run.road)]
-    contacts = sum(fault.what in ("contact", "drove through") for fault in faults)
+    collisions = sum(fault.what in ("collision", "drove through") for fault in faults)
     departures = sum(fault.what == "off the road" for fault in faults)
     refused = sum(
         record.failure is not None and record.failure.kind == PlanRefusedError.kind for record in records
@@ -183,10 +183,10 @@ def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
         f"{counted(moved, 'vehicle')} moved",
         counted(refused, "refused plan"),
         f"safeguard changed {changed} of {counted(looked_at, 'plan')}" if looked_at else "no safeguard",
-        f"{counted(contacts, 'contact')} of background vehicles",
+        f"{counted(collisions, 'collision')} of background vehicles",
         counted(departures, "road departure"),
     ]
-    clean = not (refused or contacts or departures)
+    clean = not (refused or collisions or departures)
     remedy = "" if clean else f"; advdiff-sumo run --background {run.names[1]} --check names each"
     return CheckResult(IN_TRAFFIC, True if clean else None, ", ".join(words) + remedy)
 

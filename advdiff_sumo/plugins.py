@@ -68,11 +68,9 @@ class Registry:
         known = _same(self.builtins, name) or _same(self.names(), name)  # looking for plug-ins takes a while
         if known is not None:
             return known
-        module = name.removesuffix(".py")
-        if Path(f"{module}.py").is_file():
-            raise ConfigError(
-                f"unknown {self.kind} '{name}'; a class of {module}.py is given as {module}:CLASS"
-            )
+        if (class_of := _class_in_a_file(name)) is not None:
+            file, way = class_of
+            raise ConfigError(f"unknown {self.kind} '{name}'; a class of {file} is given as {way}")
         raise UnknownNameError(self.kind, name, self.names())
 
     def load(self, name: str) -> Any:
@@ -161,6 +159,10 @@ def _import(kind: str, target: str) -> Any:
         raise ConfigError(f"{kind} '{target}' cannot be reached: write it as grpc://HOST:PORT")
     if not (module_name and attribute):
         raise ConfigError(f"{kind} '{target}' cannot be imported: give it as module:CLASS")
+    if "/" in module_name or module_name.startswith("."):
+        file = Path(f"{module_name.removesuffix('.py')}.py")
+        way = _importable(file, attribute) if file.is_file() else f"package.module:{attribute}"
+        raise ConfigError(f"{kind} '{target}' cannot be imported: a module is named, not its path: {way}")
     try:
         value: Any = importlib.import_module(module_name)
     except (ImportError, AttributeError, ValueError) as error:
@@ -171,6 +173,27 @@ def _import(kind: str, target: str) -> Any:
             raise ConfigError(f"{kind} '{target}' cannot be imported: {_lacks(value, part)}")
         value = getattr(value, part)
     return value
+
+
+def _class_in_a_file(name: str) -> tuple[Path, str] | None:
+    """Return the file that *name*, a path, a module or module.Class, means, and how a class of it is given."""
+    module, _, attribute = name.rpartition(".")
+    meant = (
+        (name.removesuffix(".py"), "CLASS"),
+        (name.replace(".", "/"), "CLASS"),
+        (module.replace(".", "/"), attribute),
+    )
+    for path, of_it in meant:
+        if path and (file := Path(f"{path}.py")).is_file():
+            return file, _importable(file, of_it)
+    return None
+
+
+def _importable(file: Path, attribute: str) -> str:
+    """Return *attribute* of the module in *file* as ``module:attribute``, and where one has to start."""
+    if file.is_absolute() or ".." in file.parts:
+        return f"{file.stem}:{attribute}, with {file.parent} on PYTHONPATH"
+    return f"{'.'.join(file.with_suffix('').parts)}:{attribute}"
 
 
 def _lacks(owner: Any, part: str) -> str:
@@ -189,7 +212,7 @@ def _remedy(target: str, error: Exception) -> str:
     if module == "__main__":
         return _OF_A_SCRIPT
     if module.endswith(".py") and Path(module).is_file():
-        return f"; leave .py out: {module.removesuffix('.py')}:{attribute}"
+        return f"; leave .py out: {_importable(Path(module), attribute)}"
     if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
         here = Path.cwd()
         return f"; start in the folder of {error.name}.py or put that on PYTHONPATH ({here} was searched)"

@@ -63,6 +63,14 @@ def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
         ("own_shape.py:Square", "; leave .py out: own_shape:Square"),
         ("own_shape", "a class of own_shape.py is given as own_shape:CLASS"),
         ("own_shape.py", "a class of own_shape.py is given as own_shape:CLASS"),
+        ("own_shape.Square", "a class of own_shape.py is given as own_shape:Square"),
+        ("shapes/round.py", "a class of shapes/round.py is given as shapes.round:CLASS"),
+        ("shapes.round", "a class of shapes/round.py is given as shapes.round:CLASS"),
+        ("shapes.round.Circle", "a class of shapes/round.py is given as shapes.round:Circle"),
+        ("shapes/round.py:Circle", "a module is named, not its path: shapes.round:Circle"),
+        ("shapes/round:Circle", "a module is named, not its path: shapes.round:Circle"),
+        ("../{here}/own_shape.py:Square", "its path: own_shape:Square, with ../{here} on PYTHONPATH"),
+        ("../nowhere:Square", "a module is named, not its path: package.module:Square"),
         ("own_shape:Square", "No module named 'no_such_thing' (own_shape.py, line 1, <module>); correct it"),
     ],
 )
@@ -70,11 +78,13 @@ def test_a_class_of_ones_own_that_is_given_wrongly_comes_with_a_remedy(
     name: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_shape.py").write_text("import no_such_thing\n")
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "round.py").write_text("class Circle: pass\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ConfigError) as caught:
-        SHAPES.load(name)
-    assert remedy in str(caught.value)
+        SHAPES.load(name.format(here=tmp_path.name))
+    assert remedy.format(here=tmp_path.name) in str(caught.value)
 
 
 def test_an_address_is_no_class() -> None:

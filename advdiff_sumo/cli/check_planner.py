@@ -21,7 +21,10 @@ def check_planner(
     ],
     net: Net = "downtown",
     assign: Annotated[
-        list[str] | None, typer.Option("--set", help="An option of the planner, as NAME=VALUE.")
+        list[str] | None,
+        typer.Option(
+            "--set", help="An option of the planner, as NAME=VALUE or as for run: target_options.NAME=VALUE."
+        ),
     ] = None,
     defect: Defect = None,
     episodes: Episodes = 2,
@@ -45,7 +48,7 @@ def check_planner(
 
     options: dict[str, Any] = {"defects": defect} if defect else {}
     for assignment in assign or ():
-        set_dotted(options, assignment)
+        set_dotted(options, assignment.strip().removeprefix("target_options."))
     extent = Extent(net=net, episodes=episodes, horizon_s=horizon, within_ms=within_ms, seed=seed)
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, math.inf, memory)

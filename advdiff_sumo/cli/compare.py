@@ -61,8 +61,9 @@ def compare(
     advdiff-sumo compare runs/last-release runs/today --fail-if "valid_failure_rate_only_b > 0"
 
     Rates: exact McNemar test, and the difference with a bootstrap interval that draws whole seed scenes. A condition
-    knows pairs, scenes, unpaired, and of each rate of a sweep _a, _b, _only_a and _only_b (pairs in which it happened
-    on one side alone), _change (b − a), _change_low, _change_high, and _p.
+    knows pairs, scenes, unpaired (also with _a and _b), failures_a and failures_b (failed ones among these), and of
+    each rate of a sweep _a, _b, _only_a and _only_b (pairs in which it happened on one side alone), _change (b − a),
+    _change_low, _change_high, and _p.
     """
     from advdiff_sumo.cli.sweep_results import CONDITION_MET, condition_met  # late: --help is quick
     from advdiff_sumo.experiments.folder_rows import rows_of_folder
@@ -87,9 +88,12 @@ def compare(
         console.print(met, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
     if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
-        lacking = counted(comparison.unpaired, "episode")
-        words = f"note: {lacking} without a finished counterpart, which --fail-if does not ask about"
+        words = f"note: {_in_no_pair(comparison)}, which --fail-if does not ask about"
         terminal(stderr=True).print(f'{words}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
+
+
+def _in_no_pair(comparison: Comparison) -> str:
+    return f"{counted(comparison.unpaired, 'episode')} failed or without a finished counterpart"
 
 
 def _object(comparison: Comparison) -> dict[str, object]:
@@ -109,7 +113,9 @@ def _print(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> 
     _print_values(console, comparison)
     _print_alone(console, comparison, sides)
     if comparison.unpaired:
-        console.print(f"{counted(comparison.unpaired, 'episode')} without a finished counterpart")
+        a = f"{comparison.unpaired_a} of A ({comparison.failures_a} failed)"
+        b = f"{comparison.unpaired_b} of B ({comparison.failures_b} failed)"
+        console.print(f"{_in_no_pair(comparison)}: {a}, {b}", soft_wrap=True)
 
 
 def _print_rates(console: Console, comparison: Comparison) -> None:

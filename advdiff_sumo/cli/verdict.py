@@ -81,6 +81,7 @@ def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> N
     """Say what those of *rows* with an outcome came to; *search*: and how many collisions nobody avoids."""
     from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_valid_failure
 
+    lost = sum(not has_outcome(row) for row in rows)
     rows = [row for row in rows if has_outcome(row)]
     hits = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
@@ -88,6 +89,8 @@ def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> N
     console.print(f"{counted(len(rows), 'episode')}, {collisions}")
     console.print(counted(critical, "critical near miss"))
     console.print(f"{counted(sum(map(broke_rule, rows)), 'episode')} in which the target broke a rule")
+    if lost:
+        console.print(f"{counted(lost, 'episode')} failed: not judged")
     if search:
         console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
 

@@ -22,11 +22,16 @@ _SERVERS = ("exec", "grpc")
 
 def described(error: BaseException) -> str:
     """Return the type of *error* and what it says, in one line."""
+    return f"{type(error).__name__}{message_of(error)}"
+
+
+def message_of(error: BaseException) -> str:
+    """Return ": " and what *error* says, in one line; "" where it says nothing, as Python's MemoryError does."""
     try:
         words = " ".join(str(error).split())
     except Exception:  # noqa: BLE001 - an exception of a plug-in's own may be broken, too
         words = ""
-    return f"{type(error).__name__}: {words}" if words else type(error).__name__
+    return f": {words}" if words else ""
 
 
 def lacks_memory(error: BaseException) -> bool:

@@ -102,8 +102,8 @@ def _shares(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 
 def _words(label: str, values: FloatArray, unit: str) -> str:
-    low, middle, high = np.percentile(values, [5, 50, 95])
-    sentence = f"median {middle:.1f} {unit}, 90 % between {low:.1f} and {high:.1f} {unit}"
+    low, middle, high = np.percentile(values, [5, 50, 95]).tolist()
+    sentence = f"median {middle:z.1f} {unit}, 90 % between {low:z.1f} and {high:z.1f} {unit}"
     return f"{label}: {sentence.replace('-', '−')}"
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, Elite, archive
-from advdiff_sumo.metrics.severity import has_outcome, is_valid_failure
+from advdiff_sumo.metrics.severity import has_outcome, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
@@ -18,11 +18,12 @@ from advdiff_sumo.report.labels import Labels
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """One target in one background: valid failures, collisions of the target, and those that it caused."""
+    """One target in one background: valid failures, collisions of the target, those that it caused, failed episodes."""
 
     valid: Rate
     collisions: Rate
     at_fault: Rate
+    failed: Rate
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:
         valid=Rate.of_flags(valid),
         collisions=Rate.of_flags(hit),
         at_fault=Rate.of_flags(guilty),
+        failed=Rate.of_flags([is_failure(row) for row in rows]),
     )
 
 

@@ -13,7 +13,7 @@ from advdiff_sumo.core.errors import (
     PlannerError,
     PlanRefusedError,
 )
-from advdiff_sumo.core.plug_in_source import described, lacks_memory, planned_at, raised_at
+from advdiff_sumo.core.plug_in_source import described, lacks_memory, message_of, planned_at, raised_at
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 
@@ -62,5 +62,5 @@ class PlugInGuard:
     def _raised(self, error: BaseException) -> EpisodeFailure:
         place = raised_at(error, self.plug_in)
         if lacks_memory(error):
-            return OutOfMemoryFailure(f"{self.who} ran out of memory{place}: {error}")
+            return OutOfMemoryFailure(f"{self.who} ran out of memory{place}{message_of(error)}")
         return PlannerError(f"{self.who} raised {described(error)}{place}")

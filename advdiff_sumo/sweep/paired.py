@@ -19,7 +19,7 @@ _KIND = ("target", "target_options", "background", "background_options")
 _VALUES = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "route_progress_m")
 _ORDER = {"--a": "first", "--b": "second"}
 _RESAMPLES = 10_000
-_COUNTS = ("pairs", "scenes", "unpaired")
+_COUNTS = ("pairs", "scenes", "unpaired", "unpaired_a", "unpaired_b", "failures_a", "failures_b")
 _OF_A_RATE = ("a", "b", "only_a", "only_b", "change", "change_low", "change_high", "p")
 #: Every name that a condition on a comparison may use.
 COMPARED_NAMES = frozenset({*_COUNTS, *(f"{rate}_{part}" for rate in EVENTS for part in _OF_A_RATE)})
@@ -83,16 +83,27 @@ class Comparison:
     Attributes:
         pairs: episodes with an outcome in both: finished, or failed after a collision of the target.
         scenes: seed scenes among them; the bootstrap draws these.
-        unpaired: episodes of either without a counterpart that has an outcome.
+        unpaired_a: episodes of the first in no pair: without an outcome, or without a counterpart that has one.
+        unpaired_b: of the second.
+        failures_a: those of *unpaired_a* that failed themselves.
+        failures_b: those of *unpaired_b*.
         rates: by name.
         values: by column; those without a pair are left out.
     """
 
     pairs: int
     scenes: int
-    unpaired: int
+    unpaired_a: int
+    unpaired_b: int
+    failures_a: int
+    failures_b: int
     rates: Mapping[str, RateChange]
     values: Mapping[str, ValueChange]
+
+    @property
+    def unpaired(self) -> int:
+        """Episodes of either in no pair."""
+        return self.unpaired_a + self.unpaired_b
 
     def named(self) -> dict[str, float | None]:
         """Return every figure of ``COMPARED_NAMES``; None where no episode has it."""
@@ -158,7 +169,10 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
     return Comparison(
         pairs=len(pairs),
         scenes=draw.scenes,
-        unpaired=len(first) + len(second) - 2 * len(pairs),
+        unpaired_a=len(first) - len(pairs),
+        unpaired_b=len(second) - len(pairs),
+        failures_a=sum(not has_outcome(row) for row in first),
+        failures_b=sum(not has_outcome(row) for row in second),
         rates={
             event.label: _rate(pairs, draw, event.happened)
             for event in EVENTS.values()

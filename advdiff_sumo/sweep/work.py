@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError
-from advdiff_sumo.core.plug_in_source import lacks_memory
+from advdiff_sumo.core.plug_in_source import lacks_memory, message_of
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import file_state
@@ -72,7 +72,9 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
             raise
         what = "the worker ran out of memory" if (full := lacks_memory(error)) else type(error).__name__
-        failed = Failed("out_of_memory" if full else "error", f"{what}: {error}", traceback.format_exc())
+        failed = Failed(
+            "out_of_memory" if full else "error", f"{what}{message_of(error)}", traceback.format_exc()
+        )
     else:
         return Outcome(task.key, product, None, time.perf_counter() - begun)
     return Outcome(task.key, (), failed, time.perf_counter() - begun, heartbeat.steps)

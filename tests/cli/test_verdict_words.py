@@ -23,3 +23,14 @@ def test_one_of_each_is_told_in_the_singular() -> None:
         "1 critical near miss",
         "1 episode in which the target broke a rule",
     ]
+
+
+def test_failed_episodes_are_named_as_not_judged() -> None:
+    sink = io.StringIO()
+    _say(terminal(file=sink), [{"end": "failed", "target_collision": False}], search=False)
+    assert sink.getvalue().splitlines() == [
+        "0 episodes, 0 collisions of the target: 0 valid failures",
+        "0 critical near misses",
+        "0 episodes in which the target broke a rule",
+        "1 episode failed: not judged",
+    ]

@@ -21,6 +21,12 @@ def test_a_planner_that_draws_by_itself_and_breaks_its_plans_is_told_so(here: Ca
     assert done.out.strip().endswith("our_planners:NotANumber: 2 of 10 checks fail")
 
 
+def test_options_may_be_written_as_those_of_run(here: Callable[..., Outcome]) -> None:
+    done = here("check-planner", "our_planners:NotANumber", "--set", "target_options.caution=1")
+    assert done.code == 2
+    assert "no option 'caution'; " in done.err
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -140,6 +140,10 @@ def test_runs_are_compared_by_their_seed_scenes(downtown_run: Path, here: Callab
         0,
         True,
     )
+    assert (
+        "1 episode failed or without a finished counterpart: 0 of A (0 failed), 1 of B (0 failed)\n"
+        in alone.out
+    )
     told = json.loads(here("compare", downtown_run, downtown_run, "--json").out)
     assert (told["pairs"], told["episodes_alone"]["collisions"]) == (2, {"a": [], "b": []})
 

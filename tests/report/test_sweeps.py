@@ -74,6 +74,7 @@ def test_matrix_counts_finished_episodes(run: FinishedRun) -> None:
         [(c.collisions.count, c.collisions.total, c.at_fault.count) for c in row if c] for row in matrix.cells
     ]
     assert cells == [[(0, 1, 0), (1, 1, 1)], [(0, 0, 0), (0, 1, 0)]]
+    assert [[c.failed.count for c in row if c] for row in matrix.cells] == [[0, 0], [1, 0]]
 
 
 def test_a_cell_says_out_of_how_many_each_count_is(sweep_folder: Path, tmp_path: Path) -> None:
@@ -88,7 +89,8 @@ def test_a_cell_says_out_of_how_many_each_count_is(sweep_folder: Path, tmp_path:
     assert "<b>100.0 %</b> [20.7 %, 100.0 %]<br> <span" in page
     assert ">1 of 1 judged; collisions in 1 of 2 (50.0 %); at fault in 1</span>" in page
     assert "<b>–</b> not judged<br> <span" in page
-    assert ">collisions in 0 of 1 (0.0 %); at fault in 0</span>" in page
+    assert ">collisions in 0 of 1 (0.0 %); at fault in 0</span><br><span" in page
+    assert page.count(">1 of 2 failed</span></td>") == 1, "lane_graph's; IDM's cell says nothing of failures"
 
 
 def test_pairs_that_were_not_run_have_no_cell(run: FinishedRun) -> None:
@@ -185,6 +187,12 @@ def test_histogram_shares_add_up_and_ends_take_what_is_beyond() -> None:
     )  # half, of 60 % up to the top, in the first bin
     assert outline.path.endswith("V101.3H330.0V168.0")  # a quarter in the last one
     assert accel.outlines == ttc.outlines == ()
+
+
+def test_a_median_of_nothing_has_no_sign() -> None:
+    still = Samples(np.zeros(0), np.full(3, -0.01), np.zeros(0), 1)
+    (outline,) = histograms({"sumo": still})[1].outlines
+    assert outline.summary == "sumo: median 0.0 m/s², 90 % between 0.0 and 0.0 m/s²"
 
 
 def test_thinned_keeps_half_seconds(run: FinishedRun) -> None:

@@ -220,6 +220,8 @@ def test_values_are_compared_where_both_have_them() -> None:
 def test_failed_episodes_make_no_pair() -> None:
     found = compare([row(0), row(1)], [row(0, target="ACC", end="failed"), row(1, target="ACC")])
     assert (found.pairs, found.unpaired) == (1, 2)
+    assert (found.unpaired_a, found.unpaired_b) == (1, 1)
+    assert (found.named()["failures_a"], found.named()["failures_b"]) == (0, 1)
 
 
 def test_two_targets_in_both_sweeps_are_paired_each_with_itself() -> None:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from advdiff_sumo.cli.run import tell_changed_code
 from advdiff_sumo.cli.terminal import Bars, print_json, terminal
 from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
 if TYPE_CHECKING:
-    from advdiff_sumo.experiments.bench.bench_config import BenchName
+    from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder
 
 bench = typer.Typer(
     name="bench",
@@ -224,6 +225,7 @@ def run_or_print(
     named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
     scenes, usual = _of_log(given.get("scenes"))
     request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})
+    _tell_changed(Folder(path, request))
     table = finished(Folder(path, request))
     said: list[str] = []
     if table is None:
@@ -243,6 +245,16 @@ def run_or_print(
     if name == "defects":
         files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"
     console.print(f"{files}: {path}", soft_wrap=True)
+
+
+def _tell_changed(folder: Folder) -> None:
+    """Say of which planners and policies the code is not that of the episodes which are in *folder* already."""
+    from advdiff_sumo.core.plug_in_source import code_digests  # late, as above
+    from advdiff_sumo.experiments.bench.cells import made_by
+
+    tell_changed_code(
+        code_digests((*folder.request.targets, *folder.request.policies)), made_by(folder.sweep)
+    )
 
 
 def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:

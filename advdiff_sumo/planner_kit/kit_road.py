@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -76,6 +76,13 @@ class KitRoad:
     lanes: Mapping[str, KitLane]
     drivable_area: tuple[tuple[FloatArray, ...], ...]
     message: Any
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Say where the methods of ``RoadMap`` are, which a planner may have used in the process that simulates."""
+        raise AttributeError(
+            f"'KitRoad' has no '{name}', it holds plain values; for a RoadMap install advdiff_sumo as a whole and "
+            "serve with read_road=RoadMap.read or --read-road advdiff_sumo.maps:RoadMap.read"
+        )
 
 
 def road_of(message: Any) -> KitRoad:

@@ -15,7 +15,7 @@ import grpc
 import numpy as np
 
 from advdiff_sumo.core.plan import Controls, Trajectory
-from advdiff_sumo.core.plug_in_source import lacks_memory, planned_at
+from advdiff_sumo.core.plug_in_source import described, lacks_memory, planned_at, raised_at
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.kit_road import road_of
@@ -198,7 +198,8 @@ def _answering(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
         except BaseException as error:  # noqa: BLE001 - a planner may raise anything, and the caller is to know
             if lacks_memory(error):
                 _refuse(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
-            _refuse(context, grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}")
+            place = raised_at(error, None)
+            _refuse(context, grpc.StatusCode.INTERNAL, f"{described(error)}{place}")
 
     return answer
 

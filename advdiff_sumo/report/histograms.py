@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.report.sample_pictures import Samples
+from advdiff_sumo.report.templates import number
 
 WIDTH, HEIGHT = 340, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 10, 8, 22
@@ -103,8 +104,7 @@ def _shares(values: FloatArray, edges: FloatArray) -> FloatArray:
 
 def _words(label: str, values: FloatArray, unit: str) -> str:
     low, middle, high = np.percentile(values, [5, 50, 95]).tolist()
-    sentence = f"median {middle:z.1f} {unit}, 90 % between {low:z.1f} and {high:z.1f} {unit}"
-    return f"{label}: {sentence.replace('-', '−')}"
+    return f"{label}: median {number(middle)} {unit}, 90 % between {number(low)} and {number(high)} {unit}"
 
 
 def _plain(value: float) -> str:

@@ -25,7 +25,7 @@ from advdiff_sumo.report.scene_picture import picture_of
 from advdiff_sumo.report.select import attacker_of, pictured
 from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import svg_picture
-from advdiff_sumo.report.templates import number, templates, title, words
+from advdiff_sumo.report.templates import further_offences, number, templates, title, words
 
 #: Pictures beyond this many bytes are left out, the least severe episodes first.
 PICTURE_BYTES = 6_000_000
@@ -203,7 +203,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
 
 def _verdict(row: Row) -> str:
     """Return what came of it, and which rules the target broke of itself."""
-    return " ".join(f"{_outcome(row)} {row['offences_text'] or ''}".split())
+    return " ".join(f"{_outcome(row)} {further_offences(row)}".split())
 
 
 def _outcome(row: Row) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ ASSETS = Path(__file__).parent / "assets"
 _SCRIPTS = ("decode.js", "scene.js", "charts.js", "player.js", "table.js", "main.js")
 _DASH = "–"
 _NO_BREAK = "\u00a0"
+_TIME_OF_OFFENCE = re.compile(r" \(\d+\.\d s\)(?:, |\.$)")
 
 
 @cache
@@ -40,6 +42,7 @@ def templates() -> Environment:
         "badge": badge,
         "resolved": resolved,
         "breaches_of": breaches_of,
+        "further_offences": further_offences,
         "as_json": as_json,
     }
     environment.globals |= {"asset": _asset, "scripts": _scripts}
@@ -68,6 +71,13 @@ def breaches_of(row: Mapping[str, Any]) -> list[str]:
     """Return the rules that led to an episode's collision, and those that the target broke of itself."""
     listed = ", ".join(row[name] or "" for name in ("target_breaches", "other_breaches", "offences"))
     return sorted({word for word in listed.split(", ") if word})
+
+
+def further_offences(row: Mapping[str, Any]) -> str:
+    """Return the sentence on rules that the target broke of itself; "" where the verdict names each of them already."""
+    told, verdict = str(row["offences_text"] or ""), str(row["verdict"] or "")
+    broken = _TIME_OF_OFFENCE.sub("\n", told.removeprefix("The target ")).split("\n")
+    return "" if all(one in verdict for one in broken) else told
 
 
 def yes_no(flag: bool | None) -> str:

@@ -101,10 +101,17 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
     printed = advdiff(*words, "--defect", "localisation:3.5", *more, cwd=tmp_path)
     assert "to do" not in printed.out
     assert "localisation:3.5" in printed.out
+    assert "has changed" not in printed.err
 
-    grown = advdiff(*words, "--defect", "localisation:3.5", "--defect", "late", *more, cwd=tmp_path)
-    assert grown.code == 0, grown.err
-    assert "; 4 to do" in grown.out  # what is there already stays
+    with (tmp_path / "mine.py").open("a") as file:
+        file.write("# mended\n")
+    said: list[str] = []
+    for _ in range(2):  # the second time all is printed only
+        grown = advdiff(*words, "--defect", "localisation:3.5", "--defect", "late", *more, cwd=tmp_path)
+        assert grown.code == 0, grown.err
+        assert "the file of mine:Mine has changed since this was begun" in grown.err
+        said.append(grown.out)
+    assert "; 4 to do" in said[0]  # what is there already stays
     both = _detections(tmp_path / "seen")
     assert list(both) == ["localisation:3.5", "late:strong"]
     assert both["localisation:3.5"]["failures"] == row["failures"]

@@ -16,7 +16,7 @@ from advdiff_sumo import load
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report import sections
 from advdiff_sumo.report.page import own_modules, write_report
-from advdiff_sumo.report.templates import number, percent
+from advdiff_sumo.report.templates import further_offences, number, percent
 
 VOID = {"meta", "br", "rect", "circle", "path", "use", "input"}
 
@@ -312,6 +312,24 @@ def test_rules_broken_without_a_contact_stand_beside_those_of_collisions(
         "utf-8"
     )
     assert "<td>target, without a contact: red light</td>" in page
+    assert "<p>The target ran a red light (1.0 s).</p>" in page, "in the printed part, too, as in the player"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "offences", "said"),
+    [
+        ("'b' broke no rule; the target ran a red light.", "The target ran a red light (1.0 s).", False),
+        ("'b' broke no rule; the target ran a red light.", "The target reversed (2.0 s).", True),
+        ("… the target ran a red light.", "The target ran a red light (1.0 s), reversed (2.0 s).", True),
+        (None, "The target ran a red light (1.0 s).", True),
+        ("… the target ran a red light.", None, False),
+    ],
+)
+def test_a_rule_that_the_verdict_names_is_not_named_again(
+    verdict: str | None, offences: str | None, said: bool
+) -> None:
+    told = further_offences({"verdict": verdict, "offences_text": offences})
+    assert told == (offences if said else "")
 
 
 def test_numbers_as_text() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from advdiff_sumo.core.errors import InputError
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import SceneList
@@ -16,7 +17,7 @@ from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sweep.executors import ProcessExecutor
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan, plan_sweep
 from advdiff_sumo.sweep.spec import Case, SweepSpec
-from advdiff_sumo.sweep.sweep_files import write_whole
+from advdiff_sumo.sweep.sweep_files import with_earlier, write_whole
 from advdiff_sumo.sweep.sweep_runner import EpisodeCount, RemainingJobs, open_store, run_sweep, settings_of
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import WorkerLimits
@@ -117,8 +118,17 @@ def open_bench_store(path: Path, plan: SweepPlan, workers: int) -> Store:
     """
     begun = (path / SWEEP_SETTINGS).exists()
     if begun:
-        write_whole(path / SWEEP_SETTINGS, tomli_w.dumps(settings_of(plan)).encode())
+        settings = with_earlier(settings_of(plan), "made_by", {"made_by": made_by(path)})
+        write_whole(path / SWEEP_SETTINGS, tomli_w.dumps(settings).encode())
     return open_store(path, plan, workers, begun)
+
+
+def made_by(path: Path) -> Mapping[str, Any]:
+    """Return the versions and digests of code that the sweep in *path* was begun with; none where it tells none."""
+    try:
+        return Store(path).made_by()
+    except InputError:  # not begun, or damaged: it is written anew
+        return {}
 
 
 def run_cells(

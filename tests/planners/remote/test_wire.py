@@ -121,6 +121,15 @@ def test_a_map_has_the_lanes_links_and_rights_of_way_of_the_net(road: RoadMap) -
     np.testing.assert_array_equal(outline[0], outline[-1])
 
 
+def test_a_method_of_the_whole_map_is_not_among_the_plain_values(road: RoadMap) -> None:
+    got = road_of(messages.Map.FromString(map_message(road).SerializeToString()))
+    with pytest.raises(
+        AttributeError, match=r"no 'locate', .* serve with read_road=RoadMap.read or --read-road"
+    ):
+        getattr(got, "locate")  # noqa: B009 - mypy knows that it is not there
+    assert not hasattr(got, "lane_path")
+
+
 def test_osi_ground_truth_of_two_cars(scene: Scene) -> None:
     truth = ground_truth(scene)
     ids = [object_id(name) for name in scene.history.ids]

@@ -27,6 +27,8 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
 
 _SHORT_S = 6.0
 """Who has come in drives ordinarily at first."""
+_BRIEF_S = 10.0
+"""Leaders first open or close the gap, so that this may be too short, too, where nothing else was lacking."""
 _FROM_AHEAD = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
 
 
@@ -38,7 +40,8 @@ def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
         row: of ``episodes``.
         states: of the episode.
     """
-    reasons = [*_of_target(states), *_of_others(attack, states), *_of_time(row)]
+    reasons = [*_of_target(states), *_of_others(attack, states), *_of_time(row, _SHORT_S)]
+    reasons = reasons or [*_of_time(row, _BRIEF_S)]
     return in_series(reasons) if reasons else "the record does not tell what was lacking"
 
 
@@ -75,7 +78,7 @@ def _places(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
     return ahead, near & (aside > IN_LANE_M) & (aside < BESIDE_M)
 
 
-def _of_time(row: Mapping[str, Any]) -> Iterator[str]:
-    if row["duration_s"] < _SHORT_S:
+def _of_time(row: Mapping[str, Any], least_s: float) -> Iterator[str]:
+    if row["duration_s"] < least_s:
         why = "--horizon" if row["end"] == EndReason.HORIZON else row["end"]
         yield f"the episode lasted {row['duration_s']:.1f} s ({why})"

@@ -60,3 +60,9 @@ def test_by_hand(attack: str, episode: EpisodeStates, told: str) -> None:
 def test_a_short_episode(end: str, why: str) -> None:
     row = {"end": end, "duration_s": 2.0}
     assert lacking("crossing", row, states(9.0)) == f"the episode lasted 2.0 s ({why})"
+
+
+def test_an_episode_that_may_be_too_short_is_told_where_nothing_else_lacked() -> None:
+    row = {"end": "horizon", "duration_s": 8.0}
+    assert lacking("hard-stop", row, states(9.0, (30.0, 0.5, 6.0))) == "the episode lasted 8.0 s (--horizon)"
+    assert lacking("crossing", row, states(0.2)) == "the target stood"

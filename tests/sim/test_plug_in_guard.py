@@ -73,7 +73,9 @@ def test_a_library_that_raises_is_called_from_the_plug_in() -> None:
 def test_memory_that_is_not_there() -> None:
     with pytest.raises(OutOfMemoryFailure, match="ran out of memory"):
         guard().call(lambda: PlugIn().plan(MemoryError("17 GB")))
-    with pytest.raises(OutOfMemoryFailure, match=r"ran out of memory \(test_plug_in_guard.py, line \d+, plan\)$"):
+    with pytest.raises(
+        OutOfMemoryFailure, match=r"ran out of memory \(test_plug_in_guard.py, line \d+, plan\)$"
+    ):
         guard().call(lambda: PlugIn().plan(MemoryError()))  # as Python itself says it
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.terminal import progress_bar, terminal
-from advdiff_sumo.core.errors import FileError
-from advdiff_sumo.core.whole_file import make_folder
+from advdiff_sumo.core.errors import FileError, os_reason
 
 _HEADS = {
     "ade_m": "ADE",
@@ -81,7 +81,7 @@ def judge_and_show(
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
     if out is not None:  # before minutes of judging
-        _make_room(out)
+        _check_place(out)
     with progress_bar(terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged", total=None)
         figures = evaluate_bundle(
@@ -96,10 +96,13 @@ def judge_and_show(
         write_figures(out, figures, judging, windows)
 
 
-def _make_room(out: Path) -> None:
+def _check_place(out: Path) -> None:
     if out.is_dir():
         raise FileError(out, "is a folder", "name a file in --out, such as figures.json in it")
-    make_folder(out.parent)
+    try:
+        os.scandir(out.parent).close()
+    except OSError as error:
+        raise FileError(out, f"cannot be written ({os_reason(error)})", "choose another --out") from None
 
 
 def table(figures: dict[str, Figures]) -> Table:

@@ -4,7 +4,8 @@ After Rempe et al. 2022 (Sec. 3.3, doi:10.1109/CVPR52688.2022.01679): a scenario
 else as recorded, another drive of the target exists that touches nobody and stays on the road. Theirs searches
 the target's latent; this one searches its actions, from draws of the traffic model and from plain manoeuvres, tries
 to brake on the recorded way, and checks all of it with the exact boxes at the simulation's step. Others do not react,
-so a drive that they would have made room for does not count: the share of solvable scenarios is a lower bound.
+so a drive that they would have made room for does not count: the share of solvable scenarios is a lower bound. As in
+the verdict, it is no matter if a third runs into the target's rear, who would have to keep its distance.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ def solve(
     accel = np.concatenate((searched.accel_mps2, slower[0]))
     curvature = np.concatenate((searched.curvature_1pm, slower[1]))
     driven = drive(around, accel, curvature, stride)
-    free = usable(road, around, driven)
+    free = usable(road, around, driven, met_by(tracks, episode.target, contact))
     across = curvature * driven[:, stride::stride, 3] ** 2
     effort = np.sqrt((accel**2 + across**2).mean(axis=1))
     return _solution(begin * tracks.dt_s, contact * tracks.dt_s, driven, free, effort)
@@ -121,12 +122,24 @@ def solve(
 
 def first_contact(tracks: Tracks, target: int) -> int:
     """Return the first instant at which the box of *target* overlaps another; the last one it is there otherwise."""
+    touched = np.flatnonzero((_gaps(tracks, target) < 0.0).any(axis=0))
+    return int(touched[0]) if len(touched) else int(np.flatnonzero(tracks.valid[target])[-1])
+
+
+def met_by(tracks: Tracks, target: int, contact: int) -> frozenset[str]:
+    """Return the ids of those whose boxes *target* overlaps by the instant *contact*, and of who is nearest then."""
+    gaps = _gaps(tracks, target)[:, : contact + 1]
+    rows = {int(np.argmin(gaps[:, -1])), *np.flatnonzero((gaps < 0.0).any(axis=1)).tolist()}
+    return frozenset(tracks.ids[row] for row in rows)
+
+
+def _gaps(tracks: Tracks, target: int) -> FloatArray:
+    """Return (A, T) signed gaps of all boxes to that of *target*; inf to itself and of who is not there."""
     boxes = corners(tracks.xy_m, tracks.yaw_rad, np.repeat(tracks.size_m[:, None], tracks.steps, axis=1))
     with np.errstate(invalid="ignore"):
-        meets = separation(boxes, np.broadcast_to(boxes[target], boxes.shape)) < 0.0
-    meets[target] = False
-    touched = np.flatnonzero(meets.any(axis=0))
-    return int(touched[0]) if len(touched) else int(np.flatnonzero(tracks.valid[target])[-1])
+        gaps = separation(boxes, np.broadcast_to(boxes[target], boxes.shape))
+    gaps[target] = np.inf
+    return np.where(np.isnan(gaps), np.inf, gaps)
 
 
 def _scene(tracks: Tracks, target: int, begin: int, stride: int) -> Scene:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.bicycle import rollout
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.frames import unit
@@ -16,8 +17,8 @@ from advdiff_sumo.maps import RoadMap
 
 BRAKES_MPS2 = np.arange(1.0, 8.25, 0.5)
 """With which the target brakes on its recorded way …"""
-DELAYS_S = np.array([0.0, 1.0, 2.0])
-"""… after so long."""
+DELAYS_S = np.arange(5.0)
+"""… after it has driven as recorded for so long."""
 OFF_SHARE = 0.02
 """Most of the box that may be off the road, or as much as was already."""
 
@@ -86,7 +87,7 @@ def braked(
 ) -> tuple[FloatArray, FloatArray]:
     """Return accelerations and curvatures (K, S) that brake *target* on its recorded way, straight on beyond it.
 
-    It brakes by each of ``BRAKES_MPS2``, after each of ``DELAYS_S`` in which it keeps its speed.
+    It brakes by each of ``BRAKES_MPS2``, after each of ``DELAYS_S`` in which it drives as recorded.
 
     Args:
         tracks: the record.
@@ -97,9 +98,11 @@ def braked(
     """
     here = np.flatnonzero(tracks.valid[target, begin:]) + begin
     along, yaw = stations_m(tracks.xy_m[target, here]), np.unwrap(tracks.yaw_rad[target, here])
+    later = step_s * np.arange(steps + 1)
+    recorded = np.interp(later, tracks.dt_s * (here - begin), np.maximum(tracks.speed_mps[target, here], 0.0))
     brake, delay = (part.reshape(-1, 1) for part in np.meshgrid(BRAKES_MPS2, DELAYS_S))
-    accel = np.where(step_s * np.arange(steps) < delay - 1e-9, 0.0, -brake)
-    begun = np.full((len(brake), 1), max(float(tracks.speed_mps[target, begin]), 0.0))
+    accel = np.where(later[:-1] < delay - 1e-9, np.diff(recorded) / step_s, -brake)
+    begun = np.full((len(brake), 1), recorded[0])
     speed = np.hstack((begun, np.maximum(begun + step_s * np.cumsum(accel, axis=1), 0.0)))
     driven = np.where(
         speed[:, 1:] > 0.0, step_s * speed[:, :-1] + 0.5 * accel * step_s**2, 0.5 * speed[:, :-1] ** 2 / brake
@@ -109,10 +112,18 @@ def braked(
     return accel, turned / np.maximum(driven, 0.1)
 
 
-def usable(road: RoadMap, around: TargetSurroundings, states: FloatArray) -> BoolArray:
+def usable(
+    road: RoadMap, around: TargetSurroundings, states: FloatArray, counted: Collection[str] | None = None
+) -> BoolArray:
     """Return (K,) which drives *states* (K, T + 1, 4) collide with nobody and stay on the road.
 
     Who overlaps the target at the very beginning is left out, as nothing that it does can undo that.
+
+    Args:
+        road: the map.
+        around: what is around the target.
+        states: x, y, yaw and speed of the drives.
+        counted: of those who run into the rear of a drive, the ones that count, as in the verdict; None: all.
     """
     size = np.broadcast_to(around.target_size_m, (*states.shape[:2], 2))
     boxes = corners(states[..., :2], states[..., 2], size)
@@ -122,11 +133,24 @@ def usable(road: RoadMap, around: TargetSurroundings, states: FloatArray) -> Boo
     fine = on_road(road, boxes)
     present = np.asarray(np.isfinite(others).all(axis=-1))
     with np.errstate(invalid="ignore"):
-        for own, there in zip(theirs, present, strict=True):
+        for name, own, there, xy_m in zip(around.ids, theirs, present, others[..., :2], strict=True):
             touches = (separation(boxes, np.broadcast_to(own, boxes.shape)) < 0.0) & there
-            if not touches[:, 0].any():
-                fine &= ~touches.any(axis=1)
+            if touches[:, 0].any():
+                continue
+            collides = touches.any(axis=1)
+            if counted is not None and name not in counted:
+                collides &= ~_from_behind(around, states, xy_m, touches.argmax(axis=1))
+            fine &= ~collides
     return fine
+
+
+def _from_behind(
+    around: TargetSurroundings, states: FloatArray, other_xy_m: FloatArray, at: IntArray
+) -> BoolArray:
+    """Return (K,) whether the centre of another is behind the rear of each drive, at instant *at* (K,) of it."""
+    now = states[np.arange(len(states)), at]
+    ahead_m = ((other_xy_m[at] - now[:, :2]) * unit(now[:, 2])).sum(axis=-1)
+    return np.asarray(ahead_m < -0.5 * around.target_size_m[0])
 
 
 def on_road(road: RoadMap, boxes: FloatArray) -> BoolArray:

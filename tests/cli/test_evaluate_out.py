@@ -29,13 +29,14 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_a_place_that_is_none_is_refused_first(judge: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match=r"file: cannot be made \(File exists\); choose another --out"):
+    with pytest.raises(FileError, match=r"cannot be written \(Not a directory\); choose another --out"):
         judge(tmp_path / "file" / "figures.json")
+    with pytest.raises(FileError, match=r"cannot be written \(No such file or directory\); choose another"):
+        judge(tmp_path / "none" / "figures.json")
     with pytest.raises(FileError, match="is a folder; name a file in --out"):
         judge(tmp_path)
 
 
-def test_the_folder_is_made(judge: Any, tmp_path: Path) -> None:
+def test_a_file_in_a_folder_is_judged_for(judge: Any, tmp_path: Path) -> None:
     with pytest.raises(JudgedError):
-        judge(tmp_path / "new" / "figures.json")
-    assert (tmp_path / "new").is_dir()
+        judge(tmp_path / "figures.json")

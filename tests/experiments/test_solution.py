@@ -11,7 +11,7 @@ from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.solution import SolveOptions, first_contact, solve
+from advdiff_sumo.experiments.solution import SolveOptions, first_contact, met_by, solve
 from advdiff_sumo.experiments.solution_check import BRAKES_MPS2, DELAYS_S, braked, drive, surroundings, usable
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
@@ -96,7 +96,7 @@ def test_braking_on_the_recorded_way_keeps_to_it_and_stops_where_it_must(downtow
     tracks.xy_m[0] = 40.0 * np.stack((np.sin(angle), 1.0 - np.cos(angle)), axis=-1)
     tracks.yaw_rad[0] = angle
     accel, curvature = braked(tracks, 0, 0, 10, 0.5)
-    assert accel.shape == curvature.shape == (45, 10)
+    assert accel.shape == curvature.shape == (75, 10)
     driven = drive(surroundings(tracks, 0, 0, 50), accel, curvature, 5)
     radius = np.linalg.norm(driven[..., :2] - [0.0, 40.0], axis=-1)
     np.testing.assert_allclose(radius, 40.0, atol=0.02)
@@ -114,6 +114,21 @@ def test_the_check_sees_contact_and_the_roads_edge(downtown: RoadMap) -> None:
     driven = drive(around, accel, curvature, 5)
     assert driven.shape == (3, 41, 4)
     assert usable(downtown, around, driven).tolist() == [False, True, False]
+
+
+def test_a_third_that_runs_into_the_rear_is_no_matter(downtown: RoadMap, weights: str) -> None:
+    """The car behind drives on through whoever brakes; the one ahead stands, and is met in the record."""
+    tracks = drives(downtown, [(20.0, 0.0, 8.0), (56.0, 0.0, 0.0), (13.0, 0.0, 8.0)], 4.5)
+    assert met_by(tracks, 0, 40) == {"v1"}
+    assert met_by(tracks, 0, 10) == {"v2"}  # nobody is met yet: the nearest
+    around = surroundings(tracks, 0, 0, 40)
+    driven = drive(around, np.full((1, 8), -3.0), np.zeros((1, 8)), 5)
+    assert not usable(downtown, around, driven).any()
+    assert not usable(downtown, around, driven, {"v1", "v2"}).any()
+    assert usable(downtown, around, driven, {"v1"}).all()
+    assert solve(
+        EpisodeStates(tracks, 0), downtown, SolveOptions(weights=weights, draws=1, rounds=0)
+    ).solvable
 
 
 def test_beyond_the_record_velocities_are_kept(downtown: RoadMap) -> None:

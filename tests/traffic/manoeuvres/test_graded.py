@@ -114,7 +114,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
         ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
         ("cut-in", "spare_gap_m", 0.0, 20.0, "late:1.5"),
-        ("cut-out", "reveals_s", 1.5, 2.5, "weak-brakes:1"),
+        ("cut-out", "reveals_s", 1.5, 2.5, "speed-bias:5"),
     ],
 )
 def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(

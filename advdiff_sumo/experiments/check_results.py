@@ -22,6 +22,7 @@ from advdiff_sumo.sweep.tasks import WorkerLimits
 DRIVES, DRIVES_AGAIN, IN_TIME = "drives", "drives it again", "in time"
 LASTS = "comes to its end"
 _KEPT = 4
+_REMEMBERS = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
 _Item = TypeVar("_Item")
 
 
@@ -68,6 +69,29 @@ def evenly(items: Sequence[_Item]) -> list[_Item]:
     """Return some of *items*, evenly taken, the first and the last among them."""
     places = np.linspace(0, len(items) - 1, min(_KEPT, len(items))).round().astype(np.int64)
     return [items[k] for k in np.unique(places).tolist()]
+
+
+def contract_results(
+    parts: type[StrEnum], problems: Sequence[tuple[str, Problem]], scenes: Collection[str], remembers: bool
+) -> list[CheckResult]:
+    """Return the verdict on each of *parts* of a contract.
+
+    Args:
+        parts: its first are METHODS, RAISES and FORM, and some later ones NUMBERS, MOTION and REPEATS.
+        problems: of all parts, each with the name of its scene.
+        scenes: names of all that were looked at.
+        remembers: whether the plan in one scene changes with those made in others.
+    """
+    if remembers:
+        problems = [*problems, ("", Problem(parts["REPEATS"], _REMEMBERS))]
+    every = tuple(parts)
+    not_reached = {
+        parts["METHODS"]: every[1:],
+        parts["RAISES"]: every[2:],
+        parts["FORM"]: every[3:],
+        parts["NUMBERS"]: (parts["MOTION"],),
+    }
+    return [part_result(part, problems, scenes, not_reached) for part in every]
 
 
 def part_result(

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.contract import Problem
 from advdiff_sumo.core.errors import PlanRefusedError, SceneError
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.record import Controller, EpisodeRecord
@@ -20,10 +18,10 @@ from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.check_results import (
     IN_TIME,
     CheckResult,
+    contract_results,
     drives_results,
     evenly,
     in_time,
-    part_result,
 )
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.plausibility import implausibilities
@@ -34,13 +32,6 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy, moves_everywhere
 from advdiff_sumo.traffic.sumo_traffic import plans_nothing
 
 IN_TRAFFIC = "in traffic"
-_NOT_REACHED: dict[StrEnum, tuple[PolicyPart, ...]] = {
-    PolicyPart.METHODS: tuple(PolicyPart)[1:],
-    PolicyPart.RAISES: tuple(PolicyPart)[2:],
-    PolicyPart.FORM: tuple(PolicyPart)[3:],
-    PolicyPart.NUMBERS: (PolicyPart.MOTION,),
-}
-"""What cannot be looked at in a scene in which a part does not hold."""
 
 
 @dataclass(frozen=True)
@@ -163,10 +154,8 @@ def _contract(
         for problem in policy_problems(policy, road, one.scene.copied(), one.log and one.log.copied())
     ]
     pairs = [(one.scene, one.log) for one in instants.values()]
-    if pairs and plans_from_memory_of_others(policy, road, pairs):
-        text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
-        problems.append(("", Problem(PolicyPart.REPEATS, text)))
-    return [part_result(part, problems, instants, _NOT_REACHED) for part in PolicyPart]
+    remembers = bool(pairs) and plans_from_memory_of_others(policy, road, pairs)
+    return contract_results(PolicyPart, problems, instants, remembers)
 
 
 def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:

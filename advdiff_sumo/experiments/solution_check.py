@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.bicycle import rollout
 from advdiff_sumo.core.boxes import corners, separation
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.reference.drive_contact import is_behind
 
 BRAKES_MPS2 = np.arange(1.0, 8.25, 0.5)
 """With which the target brakes on its recorded way …"""
@@ -139,18 +140,11 @@ def usable(
                 continue
             collides = touches.any(axis=1)
             if counted is not None and name not in counted:
-                collides &= ~_from_behind(around, states, xy_m, touches.argmax(axis=1))
+                at = touches.argmax(axis=1)
+                now = states[np.arange(len(states)), at]
+                collides &= ~is_behind(xy_m[at], now[:, :2], now[:, 2], around.target_size_m[0])
             fine &= ~collides
     return fine
-
-
-def _from_behind(
-    around: TargetSurroundings, states: FloatArray, other_xy_m: FloatArray, at: IntArray
-) -> BoolArray:
-    """Return (K,) whether the centre of another is behind the rear of each drive, at instant *at* (K,) of it."""
-    now = states[np.arange(len(states)), at]
-    ahead_m = ((other_xy_m[at] - now[:, :2]) * unit(now[:, 2])).sum(axis=-1)
-    return np.asarray(ahead_m < -0.5 * around.target_size_m[0])
 
 
 def on_road(road: RoadMap, boxes: FloatArray) -> BoolArray:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.contract import Problem
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.record import EpisodeRecord
@@ -20,10 +18,10 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.experiments.check_results import (
     CheckResult,
     checked_in_worker,
+    contract_results,
     drives_results,
     evenly,
     in_time,
-    part_result,
 )
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net
@@ -37,14 +35,6 @@ from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.sweep.tasks import WorkerLimits
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
-
-_NOT_REACHED: dict[StrEnum, tuple[Part, ...]] = {
-    Part.METHODS: tuple(Part)[1:],
-    Part.RAISES: tuple(Part)[2:],
-    Part.FORM: tuple(Part)[3:],
-    Part.NUMBERS: (Part.MOTION,),
-}
-"""What cannot be looked at in a scene in which a part does not hold."""
 
 
 @dataclass(frozen=True)
@@ -153,10 +143,7 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     driven = drive(planner, name, road, extent)
     scenes = _scenes(driven.scenes)
     problems = [(where, x) for where, scene in scenes.items() for x in problems_of(planner, road, scene)]
-    if carries_over(planner, road, list(scenes.values())):
-        text = "what it planned in other scenes changes its plan in the first; keep state in the memory alone"
-        problems.append(("", Problem(Part.REPEATS, text)))
-    contract = [part_result(part, problems, scenes, _NOT_REACHED) for part in Part]
+    contract = contract_results(Part, problems, scenes, carries_over(planner, road, list(scenes.values())))
     drives = drives_results(driven.records, driven.again)
     return [*contract, *drives, in_time(driven.plans_s, extent.within_ms)]
 

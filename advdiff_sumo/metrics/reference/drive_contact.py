@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
@@ -51,7 +51,7 @@ def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> 
     touched = np.flatnonzero(np.isfinite(fraction))
     in_order = touched[np.argsort((step + fraction)[touched], kind="stable")]
     _, firsts = np.unique(row[in_order], return_index=True)
-    behind = _behind(drive, others, target)
+    behind = is_behind(others.xy_m, drive.xy_m, drive.yaw_rad, others.size_m[target, 0])
     return tuple(
         Touch(
             first_step + int(step[pair]),
@@ -95,10 +95,12 @@ def _sweeps(
     return own, Sweep.of(others, row, step)
 
 
-def _behind(drive: Trajectory, others: Tracks, target: int) -> BoolArray:
-    """Return (A, T) whose centre is behind the drive's rear; False for who is not there."""
-    along = ((others.xy_m - drive.xy_m) * unit(drive.yaw_rad)).sum(-1)
-    return np.asarray(along < -0.5 * others.size_m[target, 0])
+def is_behind(
+    other_xy_m: FloatArray, xy_m: FloatArray, yaw_rad: FloatArray, length_m: FloatArray | float
+) -> BoolArray:
+    """Return (…,) whether centres (…, 2) are behind the rears of boxes at (…, 2), (…,); False for who is not there."""
+    along = ((other_xy_m - xy_m) * unit(yaw_rad)).sum(-1)
+    return np.asarray(along < -0.5 * length_m)
 
 
 def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) -> float:

@@ -1,6 +1,6 @@
-"""Adam for a tensor, or for many that are searched side by side (Kingma and Ba 2015, Alg. 1).
+"""Adam for one tensor, whose rows may be independent problems (Kingma and Ba 2015, Alg. 1).
 
-PyTorch's own imports its compiler when it is first made, which takes seconds in every worker.
+PyTorch's Adam imports its compiler when it is constructed, which takes seconds in every worker.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _BETAS, _TINY = (0.9, 0.999), 1e-8
 
 
 class Adam:
-    """Steps of one search.
+    """State of one minimisation.
 
     Args:
         rate: step size.
@@ -24,7 +24,7 @@ class Adam:
         self._second: Tensor | None = None
 
     def step(self, x: Tensor, gradient: Tensor) -> Tensor:
-        """Return *x* one step down its *gradient*."""
+        """Return *x* after one step against its *gradient*."""
         zero, self._steps = torch.zeros_like(x), self._steps + 1
         self._first = torch.lerp(gradient, zero if self._first is None else self._first, _BETAS[0])
         squared = gradient.square()
@@ -34,6 +34,6 @@ class Adam:
         return x - self._rate * mean / pace
 
     def keep(self, rows: Tensor) -> None:
-        """Go on with *rows* of the tensor alone."""
+        """Continue with only *rows* of the tensor."""
         if self._first is not None and self._second is not None:
             self._first, self._second = self._first[rows], self._second[rows]

@@ -1,4 +1,4 @@
-"""The objective of an attack, with gradients by autograd; on a CPU its costs are machine code made of themselves."""
+"""The objective of a guided attack, with gradients by autograd; on CPUs its costs run as compiled machine code."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ OTHERS_WEIGHT, ROAD_WEIGHT, PRIOR_WEIGHT = 10.0, 4.0, 0.01
 
 @dataclass(frozen=True)
 class Natural:
-    """Where everybody would go without an attack, one scene; target in row 0.
+    """Natural futures of all agents, without an attack, in one scene; target in row 0.
 
     Attributes:
-        rollout: futures of all agents, (1, A, T).
-        trace: for rollouts of some of them.
+        rollout: (1, A, T) futures.
+        trace: of that rollout, for rollouts of only some agents.
     """
 
     rollout: Rollout
@@ -38,21 +38,21 @@ class Natural:
 
     @property
     def steps(self) -> int:
-        """Instants of the rollout."""
+        """Number of instants of the rollout."""
         return int(self.rollout.yaw.shape[2])
 
 
 @dataclass(frozen=True)
 class AttackScene:
-    """Attackers of one scene, drawn B times at once.
+    """Attackers of one scene, of which B samples are drawn at once.
 
     Attributes:
-        decoder: makes futures of latents.
-        codec: between scaled latents and the decoder's.
-        context: of the one scene.
-        batch: the one scene.
-        rows: (R,) attackers, the target (row 0) not among them.
-        natural: where everybody would go without an attack.
+        decoder: from latents to futures.
+        codec: from scaled latents to the decoder's.
+        context: of the scene.
+        batch: the scene.
+        rows: (R,) rows of the attackers, without the target (row 0).
+        natural: futures without an attack.
     """
 
     decoder: FastDecoder
@@ -64,27 +64,27 @@ class AttackScene:
 
 
 class CostsOnTensors(nn.Module):
-    """What attackers shall make small for but the prior, with tensors for arguments, of all kinds."""
+    """Costs of attackers of all kinds, without the prior's, as a module of tensors, to be compiled."""
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
-        """Return (B, R) costs of places (B, R, T, 2), headings and speeds (B, R, T) of the attackers, *free*.
+        """Return costs (B, R) of the attackers' positions (B, R, T, 2), headings and speeds (B, R, T) in *free*.
 
-        *held* is (6,) how much each kind of ``COSTS`` counts, then the parts of a ``Placed``.
+        *held* are the weights (6,) of the kinds in ``COSTS``, then the parts of a ``Placed``.
         """
         (xy, yaw, speed), (kinds, *parts) = free, held
         return (costs(Rollout(xy, yaw, speed, speed, speed), Placed.from_tensors(parts), kinds),)
 
 
 def plain_objective(kind: str, scene: AttackScene, compiled: bool = True) -> Objective:
-    """Return what the attackers shall make large: minus the mean of :func:`attack_losses`."""
+    """Return the objective to maximise: minus the mean of :func:`attack_losses` over the attackers."""
     losses = attack_losses(kind, scene, compiled)
     return lambda latents: -losses(latents).mean(-1)
 
 
 def attack_losses(kind: str, scene: AttackScene, compiled: bool = True) -> Callable[[Tensor], Tensor]:
-    """Return what each attacker shall make small (B, R): the cost of *kind*, of ``COSTS``, and of being implausible.
+    """Return the loss (B, R) of each attacker: the cost of *kind*, of ``COSTS``, plus costs of implausible motion.
 
-    Implausible is to overlap another vehicle but the target, to leave the road, and what the prior finds unlikely.
+    Those are overlap with vehicles other than the target, leaving the road, and low likelihood under the prior.
     """
     rows, whole = scene.rows, scene.context.prior
     cost_of = _costs_of(kind, Placed.of(scene.batch, rows, scene.natural.rollout), compiled)
@@ -99,7 +99,7 @@ def attack_losses(kind: str, scene: AttackScene, compiled: bool = True) -> Calla
 
 
 def costs_package() -> Path:
-    """Return where the machine code of :class:`CostsOnTensors` ships, if it does."""
+    """Return the path of the machine code of :class:`CostsOnTensors`, which may not exist."""
     return package_for("attack-costs", sorted(COSTS))
 
 
@@ -119,7 +119,7 @@ def _costs_of(kind: str, placed: Placed, compiled: bool) -> Callable[[Rollout], 
 
 
 def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
-    """Return costs (B, R) of *kind*, or of all kinds together, each counted as a tensor says."""
+    """Return costs (B, R) of *kind*: a name, or a tensor (6,) with a weight for each kind."""
     met = met_by(rollout, placed)
     seen = encounter(rollout, met.gap, placed)
     if isinstance(kind, str):
@@ -130,9 +130,9 @@ def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
 
 
 def _futures(scene: AttackScene, z: Tensor, repeated: Callable[[int], SceneBatch]) -> Rollout:
-    """Return the futures (B, R, T) of the attackers' latents *z* (B, R, Z) against everybody's natural ones.
+    """Return futures (B, R, T) of the attackers for latents *z* (B, R, Z), while all others move naturally.
 
-    *repeated* gives the batch so many times, the same object for the same number.
+    *repeated* returns the batch repeated that many times, always the same object for the same number.
     """
     count, natural = len(z), scene.natural
     batch = scene.batch if count == 1 else repeated(count)
@@ -141,5 +141,5 @@ def _futures(scene: AttackScene, z: Tensor, repeated: Callable[[int], SceneBatch
 
 
 def surprise(prior: Gaussian, z: Tensor) -> Tensor:
-    """Return half the squared distance (B, A) of *z* (B, A, Z) from the prior's mean in its deviations."""
+    """Return half the squared Mahalanobis distance (B, A) of *z* (B, A, Z) from the prior's mean."""
     return 0.5 * ((z - prior.mean).square() * torch.exp(-prior.logvar)).sum(-1)

@@ -1,7 +1,7 @@
 """Kinds of attack as differentiable costs of the attackers' futures.
 
-Each compares the attackers' futures with the target's natural one, which is not differentiated: to collide with
-where the target is going to be.
+Each compares the attackers' futures with the target's natural future, which is a constant: the attack aims at the
+places where the target is going to be.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 
 SOFT_M = 1.0
 TOUCHES_M = -0.5
-"""Nearer than this does not count as more."""
+"""Smaller gaps have the same cost as this one."""
 
 
 @dataclass(frozen=True)
 class SeenAttack:
-    """Attackers' futures as the target on its natural way sees them; each (B, R, T) unless told otherwise.
+    """Attackers' futures in the frame of the target on its natural path; (B, R, T) unless stated otherwise.
 
     Attributes:
-        gap: distance of the bodies.
+        gap: distance between the vehicles' discs.
         ahead: position along the target's heading.
         left: position to its left.
         same: cosine of the angle between the headings.
@@ -48,7 +48,7 @@ class SeenAttack:
 
 
 def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> SeenAttack:
-    """Return how *rollout* (B, R, T) of attackers, *gap* (B, R, T) away, meets the target of *placed*."""
+    """Return *rollout* (B, R, T) of attackers, at *gap* (B, R, T), in the frame of the target of *placed*."""
     xy, yaw, speed = placed.xy[0], placed.yaw[0], placed.speed[0]
     offset = into_frame(rollout.xy, xy, yaw.expand(rollout.yaw.shape))
     return SeenAttack(
@@ -64,23 +64,23 @@ def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> SeenAttack:
 
 
 def nearest(gap: Tensor) -> Tensor:
-    """Return the smooth least (B, R) of gaps (B, R, T)."""
+    """Return the smooth minimum (B, R) of gaps (B, R, T)."""
     return -SOFT_M * torch.logsumexp(-gap.clamp(min=TOUCHES_M) / SOFT_M, dim=-1)
 
 
 def _between(value: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
-    """Return how far *value* is outside [low, high]."""
+    """Return the distance of *value* from [low, high]."""
     return torch.relu(low - value) + torch.relu(value - high)
 
 
 def _during(e: SeenAttack, cost: Tensor, begin_s: float, end_s: float) -> Tensor:
-    """Return the mean (B, R) of *cost* (B, R, T) over a span."""
+    """Return the mean (B, R) of *cost* (B, R, T) from *begin_s* to *end_s*."""
     within = ((e.time_s >= begin_s) & (e.time_s <= end_s)).to(cost.dtype)
     return (cost * within).sum(-1) / within.sum().clamp(min=1.0)
 
 
 def _meeting(e: SeenAttack, within_m: float) -> Tensor:
-    """Return how much each instant counts (B, R, T): more the nearer they are, which has no slope of its own."""
+    """Return weights (B, R, T) of the instants, larger for smaller gaps; not differentiated."""
     return torch.exp(-(e.gap.detach().clamp(min=0.0) / within_m))
 
 
@@ -116,7 +116,7 @@ def _head_on(e: SeenAttack) -> Tensor:
 
 
 def _junction(e: SeenAttack) -> Tensor:
-    """Across the target's way at the same place and time."""
+    """Across the target's path at the same place and time."""
     meeting = _meeting(e, 5.0)
     return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
 
@@ -129,4 +129,4 @@ COSTS: Mapping[str, Callable[[SeenAttack], Tensor]] = {
     "junction": _junction,
     "brake": _brake,
 }
-"""What an attack of each kind makes small, (B, R)."""
+"""Cost (B, R) of each kind of attack."""

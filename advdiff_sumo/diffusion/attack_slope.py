@@ -1,12 +1,12 @@
-"""The slope of an attack: as machine code, or by central differences for decoders whose gradient is dear.
+"""The gradient of an attack's objective: by machine code, or by central differences for the closed-loop decoder.
 
-The machine code does the attackers' rollout, its costs and its prior in one, backwards. It is made of the networks' own
-methods for the paper's decoder, where attackers see all others at the places of the trace: how they lie to each other
-is then the same for all latents, and worked out once a plan.
+The machine code is the gradient of the attackers' rollout, costs and prior in one function, compiled from the networks'
+own methods. It serves the paper's decoder, where attackers observe all agents at their states in the trace: relative
+poses are then the same for all latents, and are computed once a plan.
 
-Gradients through a closed-loop decoder take 40 ms each. There only latents of which the windows hold much are moved: of
-the shipped decoder's 32, the four of the largest deviation carry 95 % of the squared gradient. All are tried in one
-roll-out without gradients, for all attackers at once: each looks at what becomes of itself.
+A gradient through a closed-loop decoder takes 40 ms. There, only the latents with the largest standard deviations are
+varied: in the shipped decoder, four of 32 carry 95 % of the squared gradient. All variations, of all attackers at once,
+are evaluated in one rollout without gradients; each attacker's differences are those of its own loss.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.model_options import ModelOptions
 
 WIDEST = 4
-"""Latents along which the objective is differenced."""
+"""Number of latents along which differences are taken."""
 STEP = 0.25
-"""How far to each side, in deviations of the latents."""
+"""Step of the central differences, in standard deviations of the latents."""
 
 
 class AttackOnTensors(nn.Module):
-    """What attackers shall make small in *steps* of the paper's *decoder*, of latents, with tensors for arguments."""
+    """Attackers' losses over *steps* of the paper's *decoder*, as a module of tensors, to be compiled."""
 
     def __init__(self, decoder: Decoder, steps: int) -> None:
         super().__init__()
         self.decoder, self._steps = decoder, steps
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
-        """Return (B, R) costs of scaled latents (B, R, Z) of the attackers, *free*; *held* is of :func:`tensors_of`."""
+        """Return losses (B, R) of the attackers' scaled latents (B, R, Z) in *free*; *held* are :func:`tensors_of`."""
         kinds, scale, offset, mean, logvar, h, *around = held
         rows, present, own_present, edges, senders, *parts = around
         placed, z = Placed.from_tensors(parts), free[0] * scale + offset
@@ -73,7 +73,7 @@ class AttackOnTensors(nn.Module):
 
 
 def attack_objective(kind: str, scene: AttackScene) -> Objective:
-    """Return what the attackers of *scene* shall make large for *kind*, of ``COSTS``."""
+    """Return the objective that the attackers of *scene* maximise for *kind*, of ``COSTS``."""
     if scene.decoder.closed_loop:
         return differenced_attack(kind, scene)
     code = attack_code(scene.decoder, scene.natural.steps)
@@ -81,7 +81,7 @@ def attack_objective(kind: str, scene: AttackScene) -> Objective:
 
 
 def sloped_attack(kind: str, scene: AttackScene, code: MachineCode) -> Sloped:
-    """Return the objective with its slope by *code*, of :func:`attack_code` for the steps of the scene."""
+    """Return the objective with its gradient by *code*, of :func:`attack_code` for the scene's number of steps."""
     rows, kept = scene.rows, tensors_of(kind, scene)
 
     def value(latents: Tensor) -> Tensor:
@@ -101,7 +101,7 @@ def sloped_attack(kind: str, scene: AttackScene, code: MachineCode) -> Sloped:
 
 
 def differenced_attack(kind: str, scene: AttackScene) -> Sloped:
-    """Return the objective with its slope by central differences, 0 along all but the widest latents."""
+    """Return the objective with its gradient by central differences along the ``WIDEST`` latents; 0 along others."""
     losses, rows = attack_losses(kind, scene), scene.rows
     deviations = scene.codec.std.flatten()
     widest = deviations.topk(min(WIDEST, len(deviations))).indices
@@ -122,13 +122,13 @@ def differenced_attack(kind: str, scene: AttackScene) -> Sloped:
 
 
 def attack_package(options: ModelOptions, steps: int) -> Path:
-    """Return where the machine code of an attack's slope ships, if it does."""
+    """Return the path of the machine code of an attack's gradient, which may not exist."""
     return package_for("attack-slope", {**step_sizes(options), "steps": steps, "kinds": sorted(COSTS)})
 
 
 @lru_cache(maxsize=4)
 def attack_code(decoder: FastDecoder, steps: int) -> MachineCode | None:
-    """Return the machine code of the slopes of attacks of so many *steps*, or None where there is none."""
+    """Return the machine code of attacks over *steps* instants; None if there is none."""
     net = decoder.network
     if not decoder.compiled or decoder.closed_loop:
         return None
@@ -137,7 +137,7 @@ def attack_code(decoder: FastDecoder, steps: int) -> MachineCode | None:
 
 @torch.no_grad()
 def tensors_of(kind: str, scene: AttackScene) -> list[Tensor]:
-    """Return what :class:`AttackOnTensors` holds."""
+    """Return the argument *held* of :class:`AttackOnTensors`."""
     rows, trace, context = scene.rows, scene.natural.trace, scene.context
     kinds = context.h.new_tensor([float(name == kind) for name in COSTS])
     prior = context.prior.mean[0, rows], context.prior.logvar[0, rows]

@@ -1,6 +1,6 @@
-"""How attackers' bodies lie among others and on the road: distances, overlap, and what is over the road's edge.
+"""Distances and overlaps of attackers with other vehicles and with the road edge.
 
-Distances are between five discs a vehicle (``models.losses``).
+Each vehicle is represented by five discs (``models.losses``).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from advdiff_sumo.models.road_edges import RoadEdges
 
 @dataclass(frozen=True)
 class Placed:
-    """Who is where, one scene; target in row 0.
+    """Natural futures of all agents and present states of R attackers, in one scene; target in row 0.
 
     Attributes:
         size: (A, 2) lengths and widths.
-        others: (A,) who is neither target nor attacker.
-        xy: (A, T, 2) where everybody goes without an attack.
-        yaw: (A, T) headings.
-        speed: (A, T) speeds.
+        others: (A,) which agents are neither target nor attackers.
+        xy: (A, T, 2) natural positions.
+        yaw: (A, T) natural headings.
+        speed: (A, T) natural speeds.
         own_size: (R, 2) sizes of the attackers.
-        own_pose: (R, 4) their poses now.
-        moved: (R,) which of them are vehicles.
-        edges: segments of the road's edge around each of them, of one scene.
+        own_pose: (R, 4) present poses of the attackers.
+        moved: (R,) which attackers are vehicles.
+        edges: segments of the road edge around each attacker.
     """
 
     size: Tensor
@@ -45,7 +45,7 @@ class Placed:
 
     @staticmethod
     def of(batch: SceneBatch, rows: Tensor, natural: Rollout) -> Placed:
-        """Return who is where in the one scene of *batch*, with attackers *rows* (R,) and *natural* futures."""
+        """Return the states in the only scene of *batch*, with attackers *rows* (R,) and *natural* futures."""
         agents, own = torch.arange(batch.agents, device=rows.device), batch.rows_of(rows)
         others = (agents != 0) & ~torch.isin(agents, rows)
         states = natural.xy[0], natural.yaw[0], natural.speed[0]
@@ -55,24 +55,24 @@ class Placed:
 
     @staticmethod
     def from_tensors(parts: Sequence[Tensor]) -> Placed:
-        """Return what :meth:`tensors` was made of."""
+        """Return the object with these :meth:`tensors`."""
         size, others, xy, yaw, speed, own_size, own_pose, moved, *edges = parts
         return Placed(size, others, xy, yaw, speed, own_size, own_pose, moved, RoadEdges(*edges))
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """Return all parts."""
+        """Return all parts, those of the road edges last."""
         *parts, edges = vars(self).values()
         return (*parts, *vars(edges).values())
 
 
 @dataclass(frozen=True)
 class Met:
-    """What attackers meet.
+    """Distances and overlaps of attackers.
 
     Attributes:
-        gap: (B, R, T) distance of the bodies from the target's.
-        overlap: (B, R) how far their discs are inside those of others than the target, summed over time.
-        off: (B, R) how far they are over the road's edge, as a share of their width, summed over time.
+        gap: (B, R, T) gap to the target.
+        overlap: (B, R) overlap with agents other than the target, summed over time.
+        off: (B, R) distance beyond the road edge, as a share of the width, summed over time.
     """
 
     gap: Tensor
@@ -81,7 +81,7 @@ class Met:
 
 
 def met_by(rollout: Rollout, placed: Placed) -> Met:
-    """Return what the attackers of *rollout* (B, R, T) meet, with gradients to it."""
+    """Return distances and overlaps of the attackers of *rollout* (B, R, T), differentiable in it."""
     mine, radius = discs(rollout.xy, rollout.yaw, placed.own_size[:, None].expand(*rollout.yaw.shape, 2))
     yours, reach = discs(placed.xy, placed.yaw, placed.size[:, None].expand(*placed.yaw.shape, 2))
     delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
@@ -89,7 +89,7 @@ def met_by(rollout: Rollout, placed: Placed) -> Met:
     wide = radius[:, :, None] + reach
     inside = (1.0 - distance / wide).clamp(min=0.0).sum(-1)
     gap, overlap = distance[:, :, 0] - wide[:, :, 0], (inside * placed.others).sum(-1)
-    scenes = rollout.yaw.shape[0]  # not len(), which machine code would take for a constant
+    scenes = rollout.yaw.shape[0]  # not len(), which compilation would turn into a constant
     size, pose = (part.expand(scenes, -1, -1) for part in (placed.own_size, placed.own_pose))
     off = beyond_edge(rollout, size, pose, placed.edges.expand(scenes)).sum(-1) * placed.moved
     return Met(gap, overlap, off)

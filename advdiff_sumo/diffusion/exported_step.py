@@ -1,4 +1,4 @@
-"""The decoders' step as machine code, made of ``Decoder.step`` and ``ClosedLoopDecoder.step`` themselves."""
+"""One step of a decoder as machine code, compiled from ``Decoder.step`` and ``ClosedLoopDecoder.step``."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _NOT_OF_THE_STEP = {
     "interaction_layers",
     "reward_hidden",
 }
-"""Options in which networks may differ that share the machine code."""
+"""Options that do not change the step: networks that differ only in them share its machine code."""
 
 
 class StepOnTensors(nn.Module):
-    """The step of *decoder* with tensors for arguments and results."""
+    """The step of *decoder* as a module of tensors, to be compiled."""
 
     def __init__(self, decoder: Decoder) -> None:
         super().__init__()
         self.decoder = decoder
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor, ...]:
-        """Return the state after the step, the memory and the senders.
+        """Return the state after the step, the memory and the messages sent.
 
-        *free* is memory, latents, motion of the rows and of everybody; *held* the senders of the others, then what
-        :func:`tensors_of` gives.
+        *free* are memory, latents, motion of the rows and motion of all agents; *held* the messages of agents that are
+        not rolled out, then :func:`tensors_of`.
         """
         memory, z, *motions = free
         others, *around = held
@@ -49,7 +49,7 @@ class StepOnTensors(nn.Module):
 
 
 class ExportedStep:
-    """The machine code *code* with the weights of *decoder*, which it is made of; a ``Step`` of it."""
+    """A ``Step`` by machine code *code*, which was compiled from *decoder*, with the weights of *decoder*."""
 
     def __init__(self, decoder: Decoder, code: MachineCode) -> None:
         self._decoder, self.code = decoder, code
@@ -66,7 +66,7 @@ class ExportedStep:
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return what the decoder's step does, up to rounding."""
+        """Return the result of the decoder's step, up to rounding."""
         options, agents = self._decoder.options, around.batch.agents
         more = max(self._agents - agents, 0)
         if others is None:
@@ -82,13 +82,13 @@ class ExportedStep:
 
 
 def exported_step(decoder: Decoder) -> ExportedStep | None:
-    """Return the compiled step of *decoder*, or None where there is none for it."""
+    """Return the compiled step of *decoder*; None if there is none."""
     code = machine_code(step_package(decoder.options), StepOnTensors(decoder))
     return ExportedStep(decoder, code) if code is not None else None
 
 
 def step_package(options: ModelOptions) -> Path:
-    """Return where the machine code for networks of these *options* ships, if it does."""
+    """Return the path of the machine code for networks of these *options*, which may not exist."""
     return package_for("decoder-step", step_sizes(options))
 
 
@@ -98,12 +98,12 @@ def step_sizes(options: ModelOptions) -> dict[str, Any]:
 
 
 def least_agents(options: ModelOptions) -> int:
-    """Return how many agents the machine code needs; absent ones make up for those that a scene lacks."""
+    """Return the least number of agents of the machine code; smaller scenes are padded with absent agents."""
     return options.neighbours + 1
 
 
 def tensors_of(around: Surroundings, more: int = 0) -> tuple[Tensor, ...]:
-    """Return what stays the same through a rollout, with *more* absent agents."""
+    """Return the constant inputs of a rollout as tensors, padded by *more* absent agents."""
     own, batch = around.own, around.batch
     everybody = _padded(batch.size, more, 1), _padded(batch.present, more, 1)
     given = (around.rows, own.pose, own.size, own.present, own.moved, *everybody)
@@ -117,7 +117,7 @@ def _padded(value: Tensor, more: int, dim: int) -> Tensor:
 
 
 def _around(parts: Sequence[Tensor]) -> Surroundings:
-    """Return what :func:`tensors_of` was made of, as far as a step reads it."""
+    """Return the surroundings with these :func:`tensors_of`, with the parts that a step reads."""
     rows, pose, size, present, moved, all_size, all_present, *rest = parts
     own = scene_of_tensors(pose, size, present, moved)
     batch = scene_of_tensors(pose, all_size, all_present, moved)
@@ -127,7 +127,7 @@ def _around(parts: Sequence[Tensor]) -> Surroundings:
 
 
 def scene_of_tensors(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
-    """Return a batch that holds what a step reads, and nothing else."""
+    """Return a batch with only the parts that a step reads."""
     nothing = dict.fromkeys((part.name for part in fields(SceneBatch)), pose.new_zeros(0))
     given = {"past": pose[:, :, None], "size": size, "present": present, "moved": moved}
     return SceneBatch(**{**nothing, **given})

@@ -1,7 +1,7 @@
-"""The decoder for run time: ``models.decoder`` and ``models.closed_loop_decoder``, on a CPU by machine code for a step.
+"""The decoder at run time: ``models.decoder`` or ``models.closed_loop_decoder``, on CPUs with a compiled step.
 
-It can also roll out a few rows of a scene against the rest of an earlier rollout, which is what guidance needs:
-the gradient for one or two attackers then costs a fraction of that for the whole scene.
+It can also roll out a few agents while all others follow an earlier rollout. Guidance needs this: the gradient for one
+or two attackers then costs a fraction of that for the whole scene.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from advdiff_sumo.models.model_options import FUTURE_STEPS
 
 
 class FastDecoder:
-    """Rolls out scenes of one plan.
+    """Rolls out scenes.
 
     Args:
-        decoder: the trained network; machine code takes its weights as they are now.
-        compiled: step by machine code where there is any for it.
+        decoder: the trained network; machine code copies its present weights.
+        compiled: whether to use machine code, if there is any.
 
     Attributes:
-        network, compiled: the same.
+        network, compiled: the arguments.
         closed_loop: whether the network is a closed-loop decoder.
     """
 
@@ -37,30 +37,30 @@ class FastDecoder:
     def __call__(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS, forced: Forced | None = None
     ) -> Rollout:
-        """Return the futures of all agents, with the whole gradient; see ``Decoder.forward``."""
+        """Return the futures of all agents, with exact gradients; see ``Decoder.forward``."""
         return self.network.forward(z, h, batch, steps, forced, self._step)
 
     @torch.no_grad()
     def whole(
         self, z: Tensor, h: Tensor, batch: SceneBatch, steps: int = FUTURE_STEPS
     ) -> tuple[Rollout, Trace]:
-        """Return the futures of all agents for latents *z* (B, A, Z), without gradients, and their trace."""
+        """Return futures and trace of all agents for latents *z* (B, A, Z), without gradients."""
         return self.network.roll(z, h, self._surroundings(batch), steps, by=self._step)
 
     def some(
         self, z: Tensor, h: Tensor, batch: SceneBatch, rows: Tensor, steps: int, trace: Trace
     ) -> Rollout:
-        """Return the futures (B, R, …) of agents *rows* (R,) alone, the others as in *trace*, with at least *steps*.
+        """Return futures (B, R, …) of only the agents *rows* (R,); all others follow *trace*, of at least *steps*.
 
-        What the rows see of each other and of the others is that of the trace too, so the result is exact at the
-        latents of the trace, and its gradient lacks what a changed place would change in the interaction. Gradients
-        flow to *z* (B, R, Z), the latents of the rows; *h* (B, A, D) are the embeddings of all.
+        With the paper's decoder the rows observe each other as in the trace, too. The result is then exact at the
+        trace's latents; its gradient lacks the effect of changed positions on the interaction. Gradients flow to *z*
+        (B, R, Z), the latents of the rows; *h* (B, A, D) are the embeddings of all agents.
         """
         around = self._surroundings(batch, rows)
         return self.network.roll(z, h[:, rows], around, steps, None, trace, self._step)[0]
 
     def _surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
-        """Return the surroundings of *rows* (None: all) of *batch*; a plan needs those of all and of some twice."""
+        """Return the surroundings of *rows* (None: all) of *batch*, from a cache of the last two."""
         for known, some, around in self._around:
             if known is batch and some is rows:
                 return around

@@ -1,6 +1,6 @@
-"""Denoiser and reward model for run time: on a CPU by machine code that is made of their own methods.
+"""Denoiser and reward model at run time: on CPUs by machine code compiled from their own methods.
 
-What depends neither on the noisy sample nor on the action is worked out beforehand.
+The parts that do not depend on noisy sample or action are computed once a plan.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from advdiff_sumo.models.reward import RewardModel, RewardState
 
 _OF_DENOISER = ("hidden", "latent", "edge", "message", "heads", "channels", "denoiser_layers")
 _OF_REWARD = ("latent", "message", "heads", "interaction_layers", "reward_hidden")
-"""Options that the code of a network depends on."""
+"""Options that the machine code of each network depends on."""
 
 
 class PredictionOnTensors(nn.Module):
-    """``Denoiser.predict`` of *denoiser* with tensors for arguments."""
+    """``Denoiser.predict`` of *denoiser* as a module of tensors, to be compiled."""
 
     def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
         self.denoiser = denoiser
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
-        """Return the predicted noise (B, A, C, L) of noisy samples and steps; *held* is a ``Prepared``."""
+        """Return the predicted noise (B, A, C, L) for noisy samples and steps in *free*; *held* is a ``Prepared``."""
         x, step = free
         return (self.denoiser.predict(x, step, Prepared(*held)),)
 
 
 def fast_denoiser(denoiser: Denoiser, compiled: bool = True) -> Callable[[Context], Noise]:
-    """Return what tells ε(x, k), without gradients, for scenes of a context; *compiled*: by machine code, if any."""
+    """Return a function from a context to ε(x, k), without gradients; *compiled*: by machine code, if any."""
     package = denoiser_package(denoiser.options, denoiser.shape)
     code = machine_code(package, PredictionOnTensors(denoiser)) if compiled else None
 
@@ -58,28 +58,28 @@ def fast_denoiser(denoiser: Denoiser, compiled: bool = True) -> Callable[[Contex
 
 
 def denoiser_package(options: ModelOptions, shape: tuple[int, int]) -> Path:
-    """Return where the machine code for denoisers of *options* and *shape* ships, if it does."""
+    """Return the path of the machine code for denoisers of *options* and *shape*, which may not exist."""
     sizes = options.model_dump(mode="json", include=set(_OF_DENOISER))
     return package_for("denoiser", {**sizes, "shape": list(shape)})
 
 
 class RewardOnTensors(nn.Module):
-    """``RewardModel.value_of`` of *reward* with tensors for arguments."""
+    """``RewardModel.value_of`` of *reward* as a module of tensors, to be compiled."""
 
     def __init__(self, reward: RewardModel) -> None:
         super().__init__()
         self.reward = reward
 
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
-        """Return Q (B,) of actions in *free*; *held* is of a state: node, present, target, edges."""
+        """Return Q (B,) of the actions in *free*; *held* are node, present, target and edges of the state."""
         node, present, target, *edges = held
         return (self.reward.value_of(RewardState(node, edges, present, target), free[0]),)
 
 
 def fast_reward(reward: RewardModel, compiled: bool = True) -> Callable[[RewardState], Sloped]:
-    """Return what tells Q (B,) of actions (B, A, Z), and its slope, in a state; *compiled*: by machine code, if any.
+    """Return a function from a state to Q (B,) of actions (B, A, Z), with its gradient.
 
-    Machine code takes the weights of *reward* as they are now.
+    *compiled*: by machine code, if any, which copies the present weights of *reward*.
     """
     code = machine_code(reward_package(reward.options), RewardOnTensors(reward)) if compiled else None
 
@@ -101,5 +101,5 @@ def fast_reward(reward: RewardModel, compiled: bool = True) -> Callable[[RewardS
 
 
 def reward_package(options: ModelOptions) -> Path:
-    """Return where the machine code for reward models of *options* ships, if it does."""
+    """Return the path of the machine code for reward models of *options*, which may not exist."""
     return package_for("reward", options.model_dump(mode="json", include=set(_OF_REWARD)))

@@ -1,10 +1,10 @@
-"""Guidance: the mean of each denoising step is moved along the gradient of what attackers shall achieve.
+"""Guidance: the mean of a denoising step is shifted along the gradient of the attack's objectives.
 
-The paper's guide is μ ← μ + α Σ ∇_μ Q(h, z, μ) (Sec. III-C, Alg. 1). Here each objective's gradient is masked to
-the attackers and scaled to unit length over them before it is weighed, so that α means the same for every reward
-model and scene: a step moves the attackers' latents by at most α √Σ in total (√Σ ≥ ``FLOOR``, or the last step,
-where Σ is 0 and the decoder sees clean latents, would not be guided at all). A last step that begins with what was
-left of the plan before moves them by at most ``MOST`` times as much.
+The paper's guide is μ ← μ + α Σ ∇_μ Q(h, z, μ) (Sec. III-C, Alg. 1). Here each objective's gradient is masked to the
+attackers and scaled to unit length before it is weighted, so that α means the same for every reward model and scene: a
+step shifts the attackers' latents by at most α √Σ in total. √Σ is at least ``FLOOR``; the last step, where Σ is 0 and
+latents are clean, would not be guided otherwise. If the last step starts from the previous plan's shift, the shift may
+be up to ``MOST`` times as long.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from torch import Tensor
 from advdiff_sumo.diffusion.sampler import SamplingStep
 
 MOST = 2.0
-"""Longest shift of a last step that begins where the one before ended, in what one plan makes."""
+"""Longest shift of the last step that starts from the previous plan's shift, relative to that of one plan."""
 FLOOR = 0.3
 """Least √Σ of a guided step."""
 
 Objective: TypeAlias = Callable[[Tensor], Tensor]
-"""Scaled latents (B, A, Z) → what shall grow (B,)."""
+"""Scaled latents (B, A, Z) → value to maximise (B,)."""
 
 
 @dataclass(frozen=True)
 class Sloped:
-    """An objective that knows its own gradient, which spares PyTorch's.
+    """An objective with a gradient of its own, used in place of autograd.
 
     Attributes:
-        value: the objective itself.
-        slope: scaled latents (B, A, Z) → its gradient (B, A, Z) there.
+        value: the objective.
+        slope: scaled latents (B, A, Z) → gradient (B, A, Z).
     """
 
     value: Objective
     slope: Callable[[Tensor], Tensor]
 
     def __call__(self, latents: Tensor) -> Tensor:
-        """Return what shall grow (B,)."""
+        """Return the value (B,) of the objective."""
         return self.value(latents)
 
 
 @dataclass(frozen=True)
 class Term:
-    """An objective and when it counts.
+    """An objective, and the denoising steps in which it acts.
 
     Attributes:
         objective: of the latents.
         weight: of its unit gradient.
-        rungs: it counts in this many steps, the last ones.
+        rungs: number of the last denoising steps in which it acts.
     """
 
     objective: Objective
@@ -64,13 +64,13 @@ class Guidance:
     """A guide of ``sampler.sample`` for latents.
 
     Attributes:
-        terms: objectives; their unit gradients are added.
-        attackers: (A,) who is moved.
+        terms: objectives, whose weighted unit gradients are added.
+        attackers: (A,) 1 for attackers, whose latents are shifted, else 0.
         alpha: length of a step's shift in units of √Σ.
-        turns: parts in which the last step's shift is made, each along the gradient where the ones before led.
-        begin: (A, Z) where the last step's shift begins: what was left of the plan before. With it, a shift can
-            grow from plan to plan up to ``MOST`` times what one plan makes.
-        last_shift: (B, A, Z) that of the last step, once it is made.
+        turns: number of gradient steps that make up the shift of the last denoising step.
+        begin: (A, Z) initial shift of the last denoising step, from the previous plan; so shifts can grow from plan to
+            plan, up to ``MOST`` times that of one plan.
+        last_shift: (B, A, Z) shift of the last denoising step, once computed.
     """
 
     terms: Sequence[Term]
@@ -81,7 +81,7 @@ class Guidance:
     last_shift: Tensor | None = None
 
     def __call__(self, mean: Tensor, rung: SamplingStep) -> Tensor:
-        """Return what is added to *mean* (B, A, 1, Z)."""
+        """Return the shift to add to *mean* (B, A, 1, Z)."""
         turns = self.turns if rung.left == 0 else 1
         length = self.alpha * max(rung.deviation, FLOOR) / turns
         shift = torch.zeros_like(mean[:, :, 0])
@@ -95,7 +95,7 @@ class Guidance:
         return shift[:, :, None]
 
     def _uphill(self, latents: Tensor, left: int) -> Tensor:
-        """Return the weighted mean (B, A, Z) of the unit gradients of the terms that count."""
+        """Return the weighted mean (B, A, Z) of the unit gradients of the terms that act in this step."""
         total = sum(term.weight for term in self.terms)
         out = torch.zeros_like(latents)
         for term in self.terms:
@@ -105,15 +105,15 @@ class Guidance:
 
 
 def within(shift: Tensor, most: float) -> Tensor:
-    """Return *shift* (B, A, Z), shortened in scenes where it is longer than *most*."""
+    """Return *shift* (B, A, Z), shortened to length *most* in scenes where it is longer."""
     norm = shift.square().sum(dim=(1, 2), keepdim=True).sqrt()
     return shift * (most / norm.clamp(min=1e-9)).clamp(max=1.0)
 
 
 def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tensor:
-    """Return the gradient (B, A, Z) of *objective*, with length 1 over each scene, or 0.
+    """Return the gradient (B, A, Z) of *objective*, scaled to length 1 in each scene.
 
-    Only that of attackers, (A,) or (B, A), counts. A gradient that is not finite counts as none.
+    It is masked by *attackers*, (A,) or (B, A). It is 0 in scenes where it vanishes or is not finite.
     """
     here = latents.detach()
     slope = objective.slope(here) if isinstance(objective, Sloped) else autograd_slope(objective, here)

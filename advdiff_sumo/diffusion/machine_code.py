@@ -1,9 +1,9 @@
-"""Machine code that AOTInductor makes of networks' own methods, and of their gradients, without their weights.
+"""Machine code of networks' methods and of their gradients, compiled by AOTInductor without weights.
 
-``tools/build_machine_code.py`` makes it for the sizes of the shipped weights, PyTorch of one version and x86-64 with
-AVX2. Without it, and for other sizes, versions and machines, the networks do the same by themselves, in two to three
-times the time. The code itself looks at no size of what it is given, and would compute something or other: it comes
-with what it is for, and everything else is the network's.
+``tools/build_machine_code.py`` compiles it for the sizes of the shipped weights, one PyTorch version, and x86-64 with
+AVX2. With other sizes, versions or machines the networks themselves run, in two to three times the time. The code does
+not check the shapes of its arguments: each package states which arguments it supports, and all others are passed to
+the network.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _LOG = logging.getLogger(__name__)
 _FOLDER = Path(__file__).resolve().parent.parent / "weights"
 _CAPABLE = ("AVX2", "AVX512")
 FITTING = "ADVDIFF_FITTING"
-"""Name under which a package says what it is for."""
+"""Key of a package's metadata that states which arguments it supports."""
 
 
 def package_for(name: str, sizes: Any) -> Path:
-    """Return where the machine code of *name*, for networks of *sizes* and this PyTorch, ships, if it does."""
+    """Return the path of machine code *name* for networks of *sizes* and this PyTorch, which may not exist."""
     version = torch.__version__.split("+")[0]
     digest = hashlib.sha256(json.dumps([version, sizes], sort_keys=True).encode()).hexdigest()[:8]
     system = f"{platform.system()}-{platform.machine()}".lower()
@@ -39,28 +39,28 @@ def package_for(name: str, sizes: Any) -> Path:
 
 
 def slope_of(package: Path) -> Path:
-    """Return where the slope of what *package* computes ships, if it does."""
+    """Return the path of the gradient of the function in *package*, which may not exist."""
     return package.with_suffix(".slope.pt2")
 
 
 def runs_here(package: Path) -> bool:
-    """Return whether *package* ships and this processor can run it."""
+    """Return whether *package* exists and this processor can run it."""
     return package.exists() and torch.backends.cpu.get_cpu_capability() in _CAPABLE
 
 
 class MachineCode:
-    """A function (free, held) → results of tensors, with the weights of one network.
+    """A compiled function (free, held) → results of tensors, with the weights of one network.
 
-    Where its slope ships, too, gradients flow to *free*: autograd's product of a vector and the Jacobian, which works
-    out the function anew.
+    If its gradient is compiled, too, gradients flow to *free*, as vector-Jacobian products, which compute the function
+    anew.
 
     Args:
         package: of :func:`package_for`.
-        network: the function itself, with the weights; it serves arguments that the code is not for.
+        network: the same function in PyTorch, with the weights; called for arguments that the code does not support.
 
     Attributes:
-        package, network: the same.
-        fitting: what it is for.
+        package, network: the arguments.
+        fitting: which arguments are supported.
 
     Raises:
         RuntimeError: it cannot be loaded.
@@ -75,9 +75,9 @@ class MachineCode:
     def __call__(
         self, free: Sequence[Tensor], held: Sequence[Tensor], fits: bool | None = None
     ) -> Sequence[Tensor]:
-        """Return the results for the arguments *free*, which they have gradients to, and *held*.
+        """Return the results for the arguments *free*, which gradients flow to, and *held*.
 
-        *fits* is what :attr:`fitting` says of them, where that is known.
+        *fits*: whether they are supported; None: :attr:`fitting` is asked.
         """
         sloped = torch.is_grad_enabled() and any(value.requires_grad for value in free)
         fits = self.fitting.holds([*free, *held]) if fits is None else fits
@@ -90,12 +90,12 @@ class MachineCode:
         return self.value([*free, *held])
 
     def value(self, given: Sequence[Tensor]) -> list[Tensor]:
-        """Return the results for all arguments, which have to fit, without gradients."""
+        """Return the results for supported arguments *given*, without gradients."""
         results: list[Tensor] = self._value.boxed_run([value.contiguous() for value in given])
         return results
 
     def slope(self, given: Sequence[Tensor]) -> list[Tensor]:
-        """Return the gradients of what is free, for all arguments followed by gradients of the results."""
+        """Return the gradients of the free arguments; *given* are all arguments, then gradients of the results."""
         assert self._slope is not None  # noqa: S101 - __call__ asks for none where there is none
         results: list[Tensor] = self._slope.boxed_run([value.contiguous() for value in given])
         return results
@@ -103,18 +103,18 @@ class MachineCode:
 
 @dataclass(frozen=True)
 class Fitting:
-    """What machine code is for.
+    """The arguments that machine code supports.
 
     Attributes:
-        arguments: kind of each, as PyTorch writes it, and its sizes: numbers, or names, which mean one number each.
-        sizes: the least and the most that each name may mean.
+        arguments: dtype of each, as PyTorch writes it, and its shape: numbers, or names of sizes.
+        sizes: name of a size → its least and greatest value.
     """
 
     arguments: Sequence[tuple[str, Sequence[int | str]]]
     sizes: Mapping[str, tuple[int, int]]
 
     def holds(self, given: Sequence[Tensor]) -> bool:
-        """Return whether the arguments *given* are such."""
+        """Return whether the arguments *given* are supported."""
         found: dict[str, int] = {}
         for (kind, sizes), value in zip(self.arguments, given, strict=True):
             if str(value.dtype) != kind or value.device.type != "cpu" or value.dim() != len(sizes):
@@ -126,7 +126,7 @@ class Fitting:
 
 
 class _Function(torch.autograd.Function):
-    """Autograd's view of machine code."""
+    """Machine code as a function of autograd."""
 
     @staticmethod
     def forward(ctx: Any, code: MachineCode, count: int, *given: Tensor) -> tuple[Tensor, ...]:
@@ -140,14 +140,14 @@ class _Function(torch.autograd.Function):
 
 
 def machine_code(package: Path, network: nn.Module) -> MachineCode | None:
-    """Return the code of *package* with the weights of *network*, which it is made of; None where none runs here."""
+    """Return the code of *package*, compiled from *network*, with its weights; None if it cannot run here."""
     weights = network.state_dict().values()
     fits = all(weight.device.type == "cpu" and weight.dtype == torch.float32 for weight in weights)
     if not (fits and runs_here(package)):
         return None
     try:
         return MachineCode(package, network)
-    # the folder of temporary files, where it is unpacked, may refuse to hold code
+    # packages are unpacked into the folder of temporary files, which may forbid execution
     except RuntimeError as error:
         _LOG.warning("machine code cannot be loaded, planning takes twice as long: %s", error)
         return None
@@ -165,9 +165,9 @@ def _loaded(package: Path, weights: Mapping[str, Tensor]) -> Any:
 
 @contextmanager
 def _own_folder() -> Iterator[None]:
-    """Let a package be unpacked where it is removed as soon as it is loaded; PyTorch would only at a process's end.
+    """Unpack packages into a temporary folder that is removed once they are loaded.
 
-    A process that is killed, or that ends without taking objects down, as workers do, would leave 9 MB behind.
+    PyTorch removes its own only at a normal end of the process: killed processes and workers would leave 9 MB behind.
     """
     before = os.environ.get("TMPDIR")
     with tempfile.TemporaryDirectory(prefix="advdiff-", ignore_cleanup_errors=True) as folder:

@@ -40,14 +40,14 @@ class NoiseSchedule:
         return alpha.sqrt() * x0 + (1.0 - alpha).sqrt() * noise
 
     def ladder(self, count: int, begin: float = 1.0) -> list[int]:
-        """Return *count* + 1 steps down to 0, evenly spaced.
+        """Return *count* + 1 evenly spaced steps k, descending to 0.
 
         Args:
-            count: steps to take.
-            begin: the first is this share of K, or *count* where that is more.
+            count: number of transitions.
+            begin: the first step is this share of K, at least *count*.
 
         Raises:
-            ValueError: more steps than the schedule has, or none.
+            ValueError: *count* is less than 1 or more than K.
         """
         if not 1 <= count <= self.steps:
             raise ValueError(f"{count} sampling steps; the schedule has {self.steps}")

@@ -1,8 +1,8 @@
-"""Makes samples fit together: latents drawn vehicle by vehicle are moved until bodies are apart and on the road.
+"""Refines samples: moves latents until the vehicles of a scene neither overlap nor leave the road.
 
-The paper teaches this to the networks with P_coll (Sec. III-B, joint stage); here the same penalty is lowered by
-gradient descent on the finished samples, each held to what was drawn, until nothing is wrong with it. Vehicles that
-nothing is wrong with keep their latents to the bit.
+The paper trains the networks with this penalty, P_coll (Sec. III-B, joint stage). Here it is minimised by gradient
+descent on finished samples, with a term that holds each to its drawn latent, until it is 0. Vehicles without overlap
+keep their latents to the bit.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ Decode: TypeAlias = Callable[[Tensor, Context, SceneBatch], Rollout]
 
 @dataclass(frozen=True)
 class Together:
-    """How samples are made to fit.
+    """Settings of the refinement.
 
     Attributes:
-        steps: of Adam, at most; a scene with which nothing is wrong any more takes no further ones.
-        rate: of Adam, in deviations of the latents.
+        steps: most steps of Adam; a scene without penalty takes no further ones.
+        rate: step size of Adam, in standard deviations of the latents.
         vehicles: weight of the five-disc overlap between vehicles.
-        road: weight of the overlap with the road's edge.
-        keep: weight of the squared distance from what was drawn.
+        road: weight of the overlap with the road edge.
+        keep: weight of the squared distance from the drawn latents.
     """
 
     steps: int = 120
@@ -51,9 +51,9 @@ class Together:
 
 
 def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
-    """Return a decoder of latents that is exact, and whose gradient lacks what a changed place changes in others.
+    """Return an exact decoder whose gradient lacks the effect of a vehicle's latent on other vehicles.
 
-    That is a fraction of the work of the whole gradient.
+    This gradient takes a fraction of the time of the exact one.
     """
 
     def decode(x: Tensor, context: Context, batch: SceneBatch) -> Rollout:
@@ -66,10 +66,10 @@ def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
 
 
 def misfit(rollout: Rollout, batch: SceneBatch, how: Together) -> Tensor:
-    """Return (B, A) what is wrong with futures: overlap with others, and with the road's edge.
+    """Return the penalty (B, A) of futures: overlap with other agents and with the road edge.
 
-    Bodies count as a little larger than they are: what is 0 here is apart and not just touching, and discs leave out
-    the corners. Others are met halfway between two instants, too, so that nobody drives through anybody unseen.
+    Boxes are enlarged a little, so that a penalty of 0 means a gap, and because discs leave out the corners. Overlap is
+    also measured halfway between instants, so that no vehicle passes through another one unnoticed.
     """
     wide = torch.where(batch.present[..., None], batch.size + batch.size.new_tensor(_WIDER_M), batch.size)
     others = _until_contact(_overlap(_finer(rollout, batch), wide, batch.present)).sum((2, 3))
@@ -78,7 +78,7 @@ def misfit(rollout: Rollout, batch: SceneBatch, how: Together) -> Tensor:
 
 
 def _finer(rollout: Rollout, batch: SceneBatch) -> Rollout:
-    """Return *rollout* (B, A, T) with the places halfway before each instant, (B, A, 2 T)."""
+    """Return *rollout* (B, A, T) with midpoints inserted before each instant, (B, A, 2 T)."""
 
     def halved(value: Tensor, now: Tensor) -> Tensor:
         before = torch.cat((now[:, :, None], value[:, :, :-1]), dim=2)
@@ -94,7 +94,7 @@ def _finer(rollout: Rollout, batch: SceneBatch) -> Rollout:
 def _overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
     """Return (B, A, A, T) overlap of every two agents: 1 − d / (r_i + r_j), summed over all pairs of their discs.
 
-    The nearest pair alone would not say which way out is the shorter one once bodies are deep in each other.
+    For deep overlaps the gradient of the nearest pair alone would not point to the shorter way out.
     """
     squared, reach = disc_pairs(rollout, size)
     overlap = (1.0 - torch.sqrt(squared + 1e-9) / reach[..., None]).clamp(min=0.0).sum(-1) / _DISCS
@@ -102,9 +102,9 @@ def _overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
 
 
 def _until_contact(overlap: Tensor) -> Tensor:
-    """Return *overlap* (B, A, A, T) of the first instants at which two overlap.
+    """Return *overlap* (B, A, A, T) at the first instants of overlap of each pair, 0 later.
 
-    What comes later would push a vehicle that drives through another one on, out at the far side.
+    Later instants would push a vehicle that passes through another one out at the far side.
     """
     begun = (overlap > 0.0).cumsum(-1)
     return torch.where(begun <= _FIRST, overlap, 0.0)
@@ -116,10 +116,10 @@ def together(
     """Return samples (B, A, C, L) near *drawn* whose futures collide less.
 
     Args:
-        drawn: samples, in the scaled numbers that are diffused.
-        decode: makes futures of them.
+        drawn: scaled samples of the denoiser.
+        decode: from samples to futures.
         context: of the scenes.
-        batch: the scenes; parked vehicles and those that are not moved keep what was drawn.
+        batch: the scenes; parked vehicles and agents without a plan keep their samples.
         how: weights and steps.
     """
     how = how or Together()
@@ -144,7 +144,7 @@ def together(
 def _slope(
     x: Tensor, drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together
 ) -> tuple[Tensor, Tensor]:
-    """Return with which scenes (B,) something is wrong, and the gradient (B, A, C, L) of what shall become less."""
+    """Return which scenes (B,) have a penalty, and the gradient (B, A, C, L) of the objective."""
     free = (batch.moved & ~batch.parked).to(x.dtype)
     with torch.enable_grad():
         at = x.detach().requires_grad_(True)

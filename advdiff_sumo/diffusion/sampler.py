@@ -20,12 +20,12 @@ Noise: TypeAlias = Callable[[Tensor, int], Tensor]
 
 @dataclass(frozen=True)
 class SamplingStep:
-    """One step of a ladder, as a guide sees it.
+    """One denoising step, as passed to a guide.
 
     Attributes:
-        left: steps that follow.
-        alpha: α of the step that is gone to; μ is data times √α plus noise.
-        deviation: √Σ of Eq. (2), whatever the family and η; 0 at the last step.
+        left: number of steps that follow.
+        alpha: α after the step; μ is data times √α plus noise.
+        deviation: √Σ of Eq. (2), for every family and η; 0 in the last step.
     """
 
     left: int
@@ -34,21 +34,21 @@ class SamplingStep:
 
 
 Guide: TypeAlias = Callable[[Tensor, SamplingStep], Tensor]
-"""(μ (B, A, C, L), where on the ladder) → what is added to μ."""
+"""(μ (B, A, C, L), step) → shift added to μ."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How noise becomes a sample.
+    """Settings of the sampler.
 
     Attributes:
-        steps: K̂, steps taken through the schedule.
-        family: "printed": Eq. (2) as it stands, the deterministic DDIM mean plus noise of the posterior's
-            variance; "consistent": the DDIM family whose marginals match the forward process for every η.
-        eta: share of the posterior's standard deviation that is drawn anew at each step; "printed" has 1.
-        begin: share of the schedule at which pure noise is taken to be: near its end the data predicted from ε is all
-            error, since it is divided by √α, and without fresh noise (η = 0) no later step makes up for it.
-        clip: bound on each number of the predicted data, in deviations; 0: none.
+        steps: K̂, number of denoising steps.
+        family: "printed": Eq. (2) as printed, the deterministic DDIM mean plus noise of the posterior's variance;
+            "consistent": the DDIM family, whose marginals match the forward process for every η.
+        eta: noise added in each step, as a share of the posterior's standard deviation; "printed" has 1.
+        begin: share of the schedule at which sampling starts from pure noise. Near its end, data predicted from ε is
+            mostly error, as it is divided by √α; without new noise (η = 0) later steps do not correct that.
+        clip: bound on the absolute predicted data, in standard deviations; 0: none.
     """
 
     steps: int = 10
@@ -61,7 +61,7 @@ class Sampling:
 def transition(
     x: Tensor, noise: Tensor, k: int, to: int, schedule: NoiseSchedule, sampling: Sampling
 ) -> tuple[Tensor, float]:
-    """Return mean μ and standard deviation of the step from *k* to *to* < *k*.
+    """Return mean μ and standard deviation of the transition from *k* to *to* < *k*.
 
     With α the cumulative products and β = 1 − α^k / α^to, the variance is Σ = (1 − α^to) / (1 − α^k) β. The
     printed mean is √α^to x̂⁰ + √(1 − α^to) ε; the consistent one has √(1 − α^to − η² Σ) before ε.
@@ -69,9 +69,9 @@ def transition(
     Args:
         x: (…) noisy sample at *k*.
         noise: (…) predicted noise.
-        k: step, at least 1.
-        to: step to go to.
-        schedule: its αs.
+        k: present step, at least 1.
+        to: next step.
+        schedule: provides α.
         sampling: family, η and clipping.
     """
     now, then = float(schedule.alpha[k]), float(schedule.alpha[to])
@@ -100,17 +100,17 @@ def sample(
     generator: torch.Generator,
     guide: Guide | None = None,
 ) -> Tensor:
-    """Return samples (B, A, C, L) made from standard normal noise *start*.
+    """Return samples (B, A, C, L) denoised from standard normal noise *start*.
 
-    At each step the guide's shift is added to the mean before noise is drawn (Alg. 1).
+    In each step the guide's shift is added to the mean before noise is drawn (Alg. 1).
 
     Args:
-        noise_of: the trained noise prediction with its condition.
+        noise_of: noise prediction with its condition.
         start: (B, A, C, L) noise.
-        schedule: what the network was trained with.
+        schedule: that of the network's training.
         sampling: steps and family.
-        generator: random numbers of the steps; on the CPU, so that a seed means the same on every device.
-        guide: shifts the mean; None: natural samples.
+        generator: of the steps' noise; on the CPU, so that a seed gives the same samples on every device.
+        guide: shifts the means; None: natural samples.
     """
     x = start
     ladder = schedule.ladder(sampling.steps, sampling.begin)
@@ -128,13 +128,13 @@ def sample(
 
 @dataclass(frozen=True)
 class Foresight:
-    """What the network predicts on its way to a sample.
+    """A prediction of the network during sampling.
 
     Attributes:
-        clean: (B, A, C, L) the data that it expects.
-        noise: (B, A, C, L) the noise it sees, before clipping.
-        x: (B, A, C, L) what it was shown, without gradients.
-        k: at which step.
+        clean: (B, A, C, L) predicted data.
+        noise: (B, A, C, L) predicted noise, before clipping.
+        x: (B, A, C, L) input, without gradients.
+        k: step.
         alpha: α of that step.
     """
 
@@ -153,11 +153,11 @@ def foresee(
     generator: torch.Generator,
     done: int,
 ) -> Foresight:
-    """Return what the network predicts after *done* natural steps.
+    """Return the network's prediction after *done* natural steps.
 
-    Gradients reach the last prediction alone: what led to it is taken as it came.
+    Gradients flow through the last prediction only.
 
-    Args: those of :func:`sample` but *guide*, and *done*, 0 … ``sampling.steps`` − 1.
+    Args: those of :func:`sample` without *guide*, and *done*, 0 … ``sampling.steps`` − 1.
     """
     x, ladder = start, schedule.ladder(sampling.steps, sampling.begin)
     with torch.no_grad():

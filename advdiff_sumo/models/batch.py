@@ -1,4 +1,4 @@
-"""What the networks read: scenes padded to one number of agents."""
+"""Input of the networks: scenes, padded to the same number of agents."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ class SceneBatch:
 
     Attributes:
         past: (B, A, H, 4) x, y, yaw, speed; the last instant is now.
-        past_valid: (B, A, H) whether the agent was there.
+        past_valid: (B, A, H) whether the state is known.
         size: (B, A, 2) length and width.
         classes: (B, A) values of ``AgentClass``.
-        present: (B, A) the agent is real and there now.
-        moved: (B, A) it is a vehicle, whose future is modelled.
-        parked: (B, A) it never moves in its log; for statistics only, no network reads it.
-        map_xy: (B, A, K, N, 2) pieces in the agent's own frame now (x forward, y left), lanes first, then edges.
-        map_features: (B, A, K, F) their columns, as in ``maps.vector_map``, with the signal's state.
+        present: (B, A) whether the agent is real, not padding, and in the scene now.
+        moved: (B, A) whether it is a vehicle; only futures of vehicles are modelled.
+        parked: (B, A) whether it never moves in its log; for statistics only, no network reads it.
+        map_xy: (B, A, K, N, 2) pieces in the agent's present frame (x forward, y left), lanes first, then road edges.
+        map_features: (B, A, K, F) features of the pieces, as in ``maps.vector_map``, with the signal's state.
         map_valid: (B, A, K) whether the piece is real.
-        future: (B, A, T, 4) what happened, 0 where unknown; all 0 at run time.
-        future_valid: (B, A, T) whether it is known.
+        future: (B, A, T, 4) recorded states, 0 where unknown; all 0 at run time.
+        future_valid: (B, A, T) whether they are known.
     """
 
     past: Tensor
@@ -66,7 +66,7 @@ class SceneBatch:
         return self.mapped(lambda part: part.to(device))
 
     def repeat(self, times: int) -> SceneBatch:
-        """Return each scene *times* times in a row: scene b becomes rows b·times … b·times + times − 1."""
+        """Return each scene repeated *times* times: scene b becomes rows b·times … b·times + times − 1."""
         return self.mapped(lambda part: part.repeat_interleave(times, dim=0))
 
     def rows(self, rows: Tensor | slice) -> SceneBatch:
@@ -74,13 +74,13 @@ class SceneBatch:
         return self.mapped(lambda part: part[rows])
 
     def rows_of(self, rows: Tensor | slice) -> SceneBatch:
-        """Return all scenes with agents *rows* alone."""
+        """Return all scenes, with only the agents *rows*."""
         return self.mapped(lambda part: part[:, rows])
 
     def advanced(self, states: Tensor) -> SceneBatch:
-        """Return the scenes once their agents have driven *states* (B, A, S, 4): what was planned has become the past.
+        """Return the scenes after their agents have driven *states* (B, A, S, 4), which become their past.
 
-        The map pieces stay the ones around the old position, seen from the new one; signals keep their state.
+        The map pieces are those around the old positions, transformed into the new frames; signals keep their state.
         """
         history, steps, old, new = self.past.shape[2], states.shape[2], self.pose, states[:, :, -1]
         valid = self.present[..., None].expand(states.shape[:3])
@@ -96,5 +96,5 @@ class SceneBatch:
         )
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> SceneBatch:
-        """Return the batch with each of its tensors as *change* makes it."""
+        """Return the batch with *change* applied to each of its tensors."""
         return SceneBatch(**{f.name: change(getattr(self, f.name)) for f in fields(self)})

@@ -1,4 +1,4 @@
-"""Checkpoints: safetensors with the networks' options in the header, and a card beside them."""
+"""Checkpoints of a traffic model: safetensors files with the networks' options in the header."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ AGAIN = "train it again with this version"
 
 
 class BundleOptions(Options):
-    """What is needed to make the networks again.
+    """Options from which the networks can be constructed.
 
     Attributes:
-        model: sizes.
-        codec: what the denoiser works on.
+        model: sizes of the networks.
+        codec: whether latents or trajectories are diffused.
         diffusion_steps: K of the noise schedule.
-        schedule: its kind.
+        schedule: kind of the noise schedule.
     """
 
     model: ModelOptions = ModelOptions()
@@ -43,12 +43,12 @@ class Bundle:
     """All networks of one traffic model.
 
     Attributes:
-        options: how they were made.
+        options: from which they were constructed.
         traffic: encoder, posterior and decoder.
-        codec: with its scale.
+        codec: conversion to what is diffused, with its scale.
         denoiser: noise prediction.
         reward: Q.
-        stages: names of the stages that have been trained, in order.
+        stages: names of the training stages completed, in order.
     """
 
     options: BundleOptions
@@ -59,7 +59,7 @@ class Bundle:
     stages: tuple[str, ...] = ()
 
     def modules(self) -> nn.ModuleDict:
-        """Return the networks by the prefix of their tensors."""
+        """Return the networks, named by the prefix of their tensors."""
         names = ("traffic", "codec", "denoiser", "reward")
         return nn.ModuleDict({name: getattr(self, name) for name in names})
 
@@ -73,7 +73,7 @@ class Bundle:
         return self
 
     def frozen(self) -> Bundle:
-        """Switch training off, gradients of weights too, and return the bundle."""
+        """Switch to evaluation mode without gradients of weights, and return the bundle."""
         self.modules().eval().requires_grad_(False)
         return self
 
@@ -92,9 +92,9 @@ def new_bundle(options: BundleOptions, seed: int = 0) -> Bundle:
 def save_bundle(
     bundle: Bundle, path: Path, stages: tuple[str, ...], extra: Mapping[str, Any] | None = None
 ) -> None:
-    """Write *bundle* to *path*, a ".safetensors" file, aside first and then renamed.
+    """Write *bundle* to *path*, a ".safetensors" file, which is complete or not there at all.
 
-    *stages* are those trained so far; *extra* is what else the header shall carry, plain JSON.
+    *stages* are those trained so far; *extra* is added to the header as JSON.
     """
     header = {
         "format": FORMAT,
@@ -120,7 +120,7 @@ def load_bundle(path: Path) -> Bundle:
 
 
 def halve_bundle(source: Path, path: Path) -> None:
-    """Write the bundle *source* to *path* with numbers of 16 bits, which are read as 32 bits again: half the size.
+    """Write the bundle *source* to *path* in half precision, half the size; loading converts it to 32 bits again.
 
     Raises:
         WeightsError: *source* cannot be read.

@@ -1,11 +1,11 @@
-"""Decoder that closes the loop: at each half second every vehicle looks again at lanes, road edge and bodies.
+"""Closed-loop decoder: at each step of its rollout every vehicle observes lanes, road edges and neighbours anew.
 
-The decoder of the paper (Sec. III-B) knows the map from the context embedding alone, which was made at the place
-where the vehicle began. Here lane pieces, the clearance of the box and gaps to others are seen from where the rollout
-has led, as TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026) and SimNet see theirs. Every new part begins
-as nothing: with the weights of the open decoder it gives the open decoder's futures.
+The decoder of the paper (Sec. III-B) knows the map only through the context embedding, computed at the vehicle's first
+position. Here lane pieces, the clearance to the road edge and gaps to other vehicles are computed from the position
+reached in the rollout, as in TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026) and SimNet. The outputs of
+all added parts are initialised to zero: with the open decoder's weights it gives the open decoder's futures.
 
-The same network serves training and planning, on every device.
+Training and planning use the same network, on every device.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _MOTION = 6
 
 @dataclass(frozen=True)
 class LanesAndEdges(Surroundings):
-    """What stays the same through a rollout of R rows that look at the map.
+    """Inputs that are constant during a rollout of R rows that observe the map.
 
     Attributes:
-        lanes: lane pieces around them.
-        edges: segments of the road's edge around them.
+        lanes: lane pieces around the rows.
+        edges: segments of the road edge around the rows.
     """
 
     lanes: LanePieces
@@ -42,7 +42,7 @@ class LanesAndEdges(Surroundings):
 
 
 class ClosedLoopDecoder(Decoder):
-    """:class:`Decoder` with eyes: attention over lanes, clearance to the road's edge, gaps between bodies."""
+    """:class:`Decoder` with attention over lanes, clearance to the road edge, and gaps between footprints."""
 
     def __init__(self, options: ModelOptions) -> None:
         super().__init__(options)
@@ -52,18 +52,18 @@ class ClosedLoopDecoder(Decoder):
         self.pairs = from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
-        """Return the same with lane pieces and road edges."""
+        """Return the surroundings of the base class, with lane pieces and road edges."""
         plain = super().surroundings(batch, rows)
         return LanesAndEdges(**vars(plain), lanes=LanePieces.of(plain.own), edges=RoadEdges.of(plain.own))
 
     def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:
-        """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows where they are now."""
+        """Return the motion of all agents that *rows* observe: their own now, the others' from the trace (B, A, 4)."""
         mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
         advanced = traced.to(mine.dtype).index_copy(1, rows, mine)
         return advanced[..., :2], advanced[..., 2], advanced[..., 3]
 
     def compile_step(self) -> None:
-        """Let ``torch.compile`` fuse what all agents do at a step of training; worth its minute on a GPU."""
+        """Compile the training step of all agents with ``torch.compile``, which takes a minute; for GPUs."""
         self._compiled = torch.compile(self.step, dynamic=False)
 
     def step(
@@ -75,7 +75,7 @@ class ClosedLoopDecoder(Decoder):
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        """Return the rows' state after a step, their new memory, and all agents' messages (layers, B, A, M)."""
         assert isinstance(around, LanesAndEdges)  # noqa: S101 - tells the type checker what surroundings gives
         own, batch, rows = around.own, around.batch, around.rows
         place = into_frame(motion[0], own.pose[..., :2], own.pose[..., 2])

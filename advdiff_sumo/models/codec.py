@@ -1,4 +1,4 @@
-"""What is diffused: latents (the paper's method) or trajectories themselves ("traj2traj", its ablation)."""
+"""Conversion to what is diffused: latents (the paper's method) or trajectories ("traj2traj", its ablation)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FLOOR = 0.05
 
 
 class _Scaled(nn.Module):
-    """Standardises by statistics of the training data, which a checkpoint carries."""
+    """Standardisation by statistics of the training data, which are stored in the checkpoint."""
 
     mean: Tensor
     std: Tensor
@@ -32,7 +32,7 @@ class _Scaled(nn.Module):
         self.register_buffer("std", torch.ones(shape))
 
     def measure(self, raw: Tensor) -> None:
-        """Take mean and deviation from *raw* (M, C, L)."""
+        """Set mean and deviation to those of *raw* (M, C, L)."""
         self.mean.copy_(raw.mean(0))
         self.std.copy_(raw.std(0).clamp(min=_FLOOR))
 
@@ -46,7 +46,7 @@ class _Scaled(nn.Module):
 
 
 class LatentCodec(_Scaled):
-    """z̃⁰ from the posterior; the trajectory decoder makes futures of it."""
+    """Diffusion of latents: z̃⁰ is drawn from the posterior, the trajectory decoder turns it into futures."""
 
     def __init__(self, options: ModelOptions, model: TrafficModel) -> None:
         super().__init__((1, options.latent))
@@ -64,7 +64,7 @@ class LatentCodec(_Scaled):
 
 
 class TrajectoryCodec(_Scaled):
-    """The future itself: x, y and heading in the vehicle's own frame now; no decoder, no bicycle model."""
+    """Diffusion of futures: x, y and heading in the vehicle's present frame; no decoder, no bicycle model."""
 
     def __init__(self) -> None:
         super().__init__((3, FUTURE_STEPS))
@@ -78,7 +78,7 @@ class TrajectoryCodec(_Scaled):
         return torch.cat((xy, turn[..., None]), dim=-1).transpose(-1, -2)
 
     def decode(self, x: Tensor, context: Context, batch: SceneBatch) -> Rollout:  # noqa: ARG002 - the contract
-        """Return the trajectories that *x* is; speeds by differences."""
+        """Return the trajectories in *x*; speeds, accelerations and curvatures by differences."""
         raw = self.unscale(x)
         now = batch.pose[:, :, None]
         yaw_now = now[..., 2].expand(raw.shape[:2] + raw.shape[3:])

@@ -1,4 +1,4 @@
-"""Scenes as tensors: from window files for training, from live histories at run time."""
+"""Converts scenes to tensors: window files for training, live histories at run time."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _EDGE, _TURN = 4, 6  # columns of ``maps.vector_map.Feature``
 
 
 class Jitter(Options):
-    """Augmentation: vehicles are put a little beside their true state, and still shall do what they did.
+    """Augmentation: vehicles are displaced slightly from their true state, with the same future as target.
 
-    So the model learns to come back to its lane from where its own errors lead. Mirrored scenes make as much of
-    traffic on the left as of traffic on the right.
+    So the model learns to return to the lane after errors of its own. Mirrored scenes turn traffic on the right into
+    traffic on the left.
 
     Attributes:
-        share: of the vehicles that are displaced.
-        lateral_m: deviation of the displacement to the side.
-        yaw_rad: deviation of the heading.
-        speed_mps: deviation of the speed of vehicles that move.
-        mirror: share of the scenes whose left and right are exchanged.
+        share: share of the vehicles that are displaced.
+        lateral_m: standard deviation of the lateral displacement.
+        yaw_rad: standard deviation of the heading error.
+        speed_mps: standard deviation of the speed error, for moving vehicles.
+        mirror: share of the scenes that are mirrored.
     """
 
     share: float = Field(0.4, ge=0.0, le=1.0)
@@ -62,7 +62,7 @@ class _Agents:
 def collate(
     windows: WindowFile, rows: IntArray, rng: np.random.Generator | None = None, jitter: Jitter | None = None
 ) -> SceneBatch:
-    """Return windows *rows* (B,) as a batch, with vehicles displaced by *rng* as *jitter* says; None: not at all."""
+    """Return windows *rows* (B,) as a batch, augmented by *jitter* with random numbers of *rng*; None: as they are."""
     rows = np.asarray(rows, dtype=np.int64)
     first, last = windows.offset[rows], windows.offset[rows + 1]
     agents = int((last - first).max())
@@ -114,14 +114,14 @@ def scene_batch(
     near: IntArray,
     signal_states: IntArray,
 ) -> SceneBatch:
-    """Return one live scene as a batch of one, with nothing known of the future.
+    """Return one live scene as a batch of one scene, with an unknown future.
 
     Args:
-        history: (A, H) states; every agent is there at the last instant.
-        map_xy: (M, N, 2) pieces of the map.
-        map_features: (M, F) their columns.
-        map_signal: (M,) their signals, −1 without.
-        near: (A, K) pieces near each agent, −1 padded.
+        history: (A, H) states; all agents are present at the last instant.
+        map_xy: (M, N, 2) map pieces.
+        map_features: (M, F) features of the pieces.
+        map_signal: (M,) index of the piece's signal, −1 if it has none.
+        near: (A, K) pieces near each agent, padded with −1.
         signal_states: (G,) 0 unknown, 1 red, 2 yellow, 3 green.
     """
     agents = history.agents
@@ -166,7 +166,7 @@ def _assemble(agents: _Agents, xy_m: _Numbers, features: _Numbers, signal: NDArr
 
 
 def _seen(agents: _Agents, xy_m: _Numbers) -> tuple[FloatArray, BoolArray]:
-    """Return the pieces (B, A, K, N, 2) in each agent's frame, and which are real."""
+    """Return the pieces (B, A, K, N, 2) in each agent's frame, and which are no padding (B, A, K)."""
     valid = (agents.near >= 0) & agents.present[..., None]
     world = xy_m[np.maximum(agents.near, 0)].astype(np.float64)
     now = agents.past[:, :, -1]
@@ -178,7 +178,7 @@ def _seen(agents: _Agents, xy_m: _Numbers) -> tuple[FloatArray, BoolArray]:
 
 
 def _features(agents: _Agents, features: _Numbers, signal: NDArray[np.integer]) -> FloatArray:
-    """Return the pieces' columns (B, A, K, F + 3), the signal's state one-hot behind them."""
+    """Return the pieces' features (B, A, K, F + 3), the last three the signal's state as one-hot vector."""
     near = np.maximum(agents.near, 0)
     lights, states = signal[near], np.zeros_like(near)
     if agents.signals.shape[1]:
@@ -189,7 +189,7 @@ def _features(agents: _Agents, features: _Numbers, signal: NDArray[np.integer]) 
 
 
 def _displaced(agents: _Agents, rng: np.random.Generator, jitter: Jitter) -> _Agents:
-    """Return *agents* with some vehicles beside their true state; the past bends towards it over its two seconds."""
+    """Return *agents* with some vehicles displaced; the displacement grows linearly over the two seconds of past."""
     shape = agents.present.shape
     draw = rng.standard_normal((3, *shape))
     vehicle = agents.present & (agents.classes != AgentClass.PEDESTRIAN)

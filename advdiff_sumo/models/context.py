@@ -24,21 +24,21 @@ from advdiff_sumo.models.model_options import (
 from advdiff_sumo.models.perceptron import perceptron
 
 STATE = 6
-"""Numbers of an instant, of :func:`seen_states`."""
+"""Features of one instant in :func:`seen_states`."""
 _SCALE = (0.25, 0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Context:
-    """What is known of every vehicle before its future.
+    """Condition for the futures of all agents.
 
     Attributes:
-        h: (B, A, D) state embedding, the map and the others included.
+        h: (B, A, D) state embeddings, which include the map and the other agents.
         prior: p(z | h), (B, A, Z).
-        relative: (B, A, A, 9) how they see each other now, of ``relative_features``.
-        drawn: (B, A) whose latents mean something: vehicles.
-        situation: (B, A, 11) lights, vehicles ahead and limits, of ``situation_features``; (B, A, 0) where no network
-            uses them.
+        relative: (B, A, A, 9) present ``relative_features`` of all pairs.
+        drawn: (B, A) whether the agent has a latent: vehicles.
+        situation: (B, A, 11) signals, lead vehicles and speed limits, of ``situation_features``; (B, A, 0) if no
+            network uses them.
     """
 
     h: Tensor
@@ -48,28 +48,28 @@ class Context:
     situation: Tensor
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> Context:
-        """Return the context with each of its tensors as *change* makes it."""
+        """Return the context with *change* applied to each of its tensors."""
         prior = Gaussian(change(self.prior.mean), change(self.prior.logvar))
         return Context(
             change(self.h), prior, change(self.relative), change(self.drawn), change(self.situation)
         )
 
     def repeat(self, times: int) -> Context:
-        """Return the context of each scene *times* times in a row, as ``SceneBatch.repeat`` does."""
+        """Return the context with each scene repeated *times* times, as in ``SceneBatch.repeat``."""
         return self.mapped(lambda part: part.repeat_interleave(times, dim=0))
 
     def rows(self, rows: Tensor | slice) -> Context:
-        """Return the context of the scenes at *rows*, as ``SceneBatch.rows`` does."""
+        """Return the context of the scenes at *rows*, as in ``SceneBatch.rows``."""
         return self.mapped(lambda part: part[rows])
 
     def first(self, agents: int) -> Context:
-        """Return all scenes with their first *agents* alone, who know of the others what they did."""
+        """Return the context of only the first *agents* of each scene; their embeddings still include the others."""
         few = self.mapped(lambda part: part[:, :agents])
         return replace(few, relative=few.relative[:, :, :agents])
 
 
 class MapEncoder(nn.Module):
-    """Embeds each map piece and pools them by attention from the agent's state."""
+    """Embeds map pieces and pools them by attention, with the agent's state as query."""
 
     feature_scale: Tensor
 
@@ -85,12 +85,12 @@ class MapEncoder(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, h: Tensor, batch: SceneBatch) -> Tensor:
-        """Return (B, A, D): what the map around each agent says to its state *h*."""
+        """Return (B, A, D) the map around each agent, attended to from its state *h*."""
         columns = batch.map_features * self.feature_scale
         pieces = self.piece(torch.cat((0.05 * batch.map_xy.flatten(-2), columns), dim=-1))
         query = self.query(h)
         query = query.reshape(*query.shape[:-1], self.heads, -1) * (query.shape[-1] // self.heads) ** -0.5
-        # keys and values are linear in the pieces: each is asked for and summed up before it is made
+        # keys and values are linear in the pieces, so that they are applied to query and pooled pieces instead
         key, value = (self._by_head(layer) for layer in (self.key, self.value))
         score = torch.einsum("bahd,hdw->bahw", query, key) @ pieces.transpose(-1, -2)
         mask = batch.map_valid[:, :, None]
@@ -104,7 +104,7 @@ class MapEncoder(nn.Module):
 
 
 class ContextEncoder(nn.Module):
-    """MLP over the past, map pooling, interaction net, prior over z."""
+    """MLP over the past, map pooling, interaction net, and prior of z."""
 
     def __init__(self, options: ModelOptions) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ class ContextEncoder(nn.Module):
         self._tells_situation = options.denoiser_situation
 
     def forward(self, batch: SceneBatch) -> Context:
-        """Return embeddings and the prior of every agent; the same whatever the world's frame."""
+        """Return embeddings and prior of every agent; they do not depend on the world's frame."""
         state = self.state(past_features(batch))
         h = self.norm(state + self.map(state, batch))
         h = (h + self.mix(h)) * batch.present[..., None]
@@ -130,20 +130,20 @@ class ContextEncoder(nn.Module):
 
 
 def gaussian_head(raw: Tensor) -> Gaussian:
-    """Return a Gaussian of raw numbers (…, 2 Z); variances are kept between e⁻⁸ and e⁴."""
+    """Return the Gaussian parametrised by *raw* (…, 2 Z), with variances between e⁻⁸ and e⁴."""
     mean, logvar = raw.chunk(2, dim=-1)
     return Gaussian(mean, 6.0 * torch.tanh(logvar / 6.0) - 2.0)
 
 
 def past_features(batch: SceneBatch) -> Tensor:
-    """Return (B, A, H·6 + 8): the past in the agent's own frame, its size and class."""
+    """Return (B, A, H·6 + 8) the past in the agent's own frame, its size and class."""
     history = seen_states(batch.past, batch.past_valid, batch.pose, 0.1)
     kind = one_hot(batch.classes, CLASSES).to(history.dtype)
     return torch.cat((history, 0.2 * batch.size, kind), dim=-1)
 
 
 def seen_states(states: Tensor, valid: Tensor, pose: Tensor, per_m: float) -> Tensor:
-    """Return (B, A, T·6): *states* (B, A, T, 4) as *pose* (B, A, 4) sees them, 1 m as *per_m*; 0 where not *valid*."""
+    """Return (B, A, T·6) *states* (B, A, T, 4) in frames *pose* (B, A, 4), metres × *per_m*; 0 where not *valid*."""
     now = pose[:, :, None]
     xy = per_m * into_frame(states[..., :2], now[..., :2], now[..., 2].expand(states.shape[:-1]))
     turn = states[..., 2] - now[..., 2]

@@ -18,26 +18,26 @@ from advdiff_sumo.models.tensor_bicycle import controls
 from advdiff_sumo.models.tensor_bicycle import step as bicycle_step
 
 Motion: TypeAlias = tuple[Tensor, Tensor, Tensor]
-"""xy (B, A, 2), yaw (B, A) and speed (B, A)."""
+"""Positions (B, A, 2), headings (B, A) and speeds (B, A)."""
 State: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
-"""A motion, with the acceleration (B, A) and curvature (B, A) that led there."""
+"""A motion, with the accelerations (B, A) and curvatures (B, A) of the step that led to it."""
 Step: TypeAlias = Callable[
     [Tensor, Tensor, "Surroundings", Motion, Motion, Tensor | None], tuple[State, Tensor, Tensor]
 ]
-"""What :meth:`Decoder.step` does, or the same as machine code."""
+""":meth:`Decoder.step`, or machine code of it."""
 _MOTION = 6
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """Joint futures, first instant one model step after now, in the scene's frame.
+    """Joint futures in the scene's frame; the first instant is one model step after now.
 
     Attributes:
         xy: (B, A, T, 2) box centres.
         yaw: (B, A, T) headings.
         speed: (B, A, T) speeds.
-        accel: (B, A, T) acceleration held up to each instant.
-        curvature: (B, A, T) curvature held up to each instant.
+        accel: (B, A, T) constant acceleration of the step that ends at each instant.
+        curvature: (B, A, T) constant curvature of the same step.
     """
 
     xy: Tensor
@@ -53,35 +53,35 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Trace:
-    """Where everybody was at the beginning of each step of a rollout, and what he said; for rollouts of some rows.
+    """States and messages of all agents at each step of a rollout, for later rollouts of some of them.
 
     Attributes:
-        motion: (T, B, A, 4) x, y, yaw, speed.
-        senders: (T, layers, B, A, M) what everybody adds to the others' messages.
+        motion: (T, B, A, 4) x, y, yaw, speed at the beginning of each step.
+        senders: (T, layers, B, A, M) contribution of each sender to the messages.
     """
 
     motion: Tensor
     senders: Tensor
 
     def repeat(self, times: int) -> Trace:
-        """Return the trace of the one scene *times* times."""
+        """Return the trace of one scene repeated *times* times."""
         return Trace(self.motion.expand(-1, times, -1, -1), self.senders.expand(-1, -1, times, -1, -1))
 
 
 @dataclass(frozen=True)
 class Forced:
-    """Agents whose future is given, such as a target that replays its log; the others react to it.
+    """Given futures of some agents, such as a target that replays its log; the others react to them.
 
     Attributes:
         states: (B, A, T, 4) x, y, yaw, speed.
-        mask: (B, A, T) where they are given.
+        mask: (B, A, T) where the state is given.
     """
 
     states: Tensor
     mask: Tensor
 
     def put(self, k: int, state: State) -> State:
-        """Return *state* with what is given of instant *k* in its place."""
+        """Return *state* with the given states of instant *k* in place of the computed ones."""
         given, mask = self.states[:, :, k], self.mask[:, :, k]
         xy, yaw, speed, *action = state
         return (
@@ -95,11 +95,11 @@ class Forced:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What stays the same through a rollout of R rows.
+    """Inputs that are constant during a rollout of R rows.
 
     Attributes:
         batch: the scenes with all A agents.
-        own: the same with the rows alone.
+        own: the same scenes with only the rows.
         rows: (R,) agents that are rolled out.
     """
 
@@ -109,7 +109,7 @@ class Surroundings:
 
 
 class Decoder(nn.Module):
-    """Twelve steps of half a second; every vehicle sees where the others have got to in the same rollout."""
+    """Twelve steps of half a second, in which every vehicle observes the others' states in the same rollout."""
 
     def __init__(self, options: ModelOptions) -> None:
         super().__init__()
@@ -131,10 +131,10 @@ class Decoder(nn.Module):
         forced: Forced | None = None,
         by: Step | None = None,
     ) -> Rollout:
-        """Return the futures that latents *z* (B, A, Z) and embeddings *h* (B, A, D) of the context lead to in *steps*.
+        """Return futures of *steps* instants for latents *z* (B, A, Z) and context embeddings *h* (B, A, D).
 
-        Agents that are no vehicles keep their velocity, those that are *forced* do what is given. *by* takes the place
-        of :meth:`step`.
+        Agents that are no vehicles keep their velocity; *forced* ones follow their given states. *by* replaces
+        :meth:`step`.
         """
         return rollout_of(self._roll(z, h, self.surroundings(batch), steps, forced, None, by)[0])
 
@@ -148,9 +148,9 @@ class Decoder(nn.Module):
         trace: Trace | None = None,
         by: Step | None = None,
     ) -> tuple[Rollout, Trace]:
-        """Return the futures of the rows of *around* and their trace, from their own *z* (B, R, Z) and *h* (B, R, D).
+        """Return futures and trace of the rows of *around* for their latents *z* (B, R, Z), embeddings *h* (B, R, D).
 
-        All others move and say what they did in *trace*; None: the rows are everybody.
+        States and messages of all other agents are those of *trace*; None: the rows are all agents.
         """
         states, begun, said = self._roll(z, h, around, steps, forced, trace, by)
         motions = [torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in begun]
@@ -166,7 +166,7 @@ class Decoder(nn.Module):
         trace: Trace | None,
         by: Step | None,
     ) -> tuple[list[State], list[Motion], list[Tensor]]:
-        """Return the states after each step of :meth:`roll`, and where everybody began it and what he said."""
+        """Return, for each step of :meth:`roll`, the state after it, all agents' motion before it, and messages."""
         own = self._compiled if trace is None and torch.is_grad_enabled() else None
         advance, rows = by or own or self.step, around.rows
         memory = self.begin(z, h)
@@ -183,13 +183,13 @@ class Decoder(nn.Module):
         return states, begun, said
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
-        """Return what stays the same through a rollout of agents *rows* (R,) of *batch*; None: of all."""
+        """Return the constant inputs of a rollout of agents *rows* (R,) of *batch*; None: of all."""
         if rows is None:
             return Surroundings(batch, batch, torch.arange(batch.agents, device=batch.past.device))
         return Surroundings(batch, batch.rows_of(rows), rows)
 
     def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:  # noqa: ARG002 - for decoders that use them
-        """Return where *rows* see all agents: where the trace (B, A, 4) had them, the rows themselves too."""
+        """Return the motion of all agents that *rows* observe: that of the trace (B, A, 4), for the rows, too."""
         return traced[..., :2], traced[..., 2], traced[..., 3]
 
     def step(
@@ -201,16 +201,16 @@ class Decoder(nn.Module):
         everybody: Motion,
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return where the rows get to in a step, their memory of it, and what all agents send (layers, B, A, M)."""
+        """Return the rows' state after a step, their new memory, and all agents' messages (layers, B, A, M)."""
         edges = self.edges(everybody, None if others is None else around.rows)
         return self.advance(memory, z, around, motion, edges, others)
 
     def edges(self, everybody: Motion, rows: Tensor | None) -> list[Tensor]:
-        """Return for each graph layer what it adds to the messages (B, R, A, M) how *rows* (None: all) see all."""
+        """Return, for each graph layer, embedded poses (B, R, A, M) of all agents relative to *rows*; None: to all."""
         return self.interaction.prepare(relative_features(*everybody, rows))
 
     def begin(self, z: Tensor, h: Tensor) -> Tensor:
-        """Return the memory (B, R, D) that a rollout begins with."""
+        """Return the initial memory (B, R, D) of a rollout."""
         return torch.tanh(self.start(torch.cat((h, z), dim=-1)))
 
     def advance(
@@ -222,7 +222,7 @@ class Decoder(nn.Module):
         edges: list[Tensor],
         others: Tensor | None,
     ) -> tuple[State, Tensor, Tensor]:
-        """Return :meth:`step` of rows that see what *edges* hold."""
+        """Return :meth:`step` with relative poses already embedded in *edges*."""
         moved = motion_features(*motion, around.own)
         node = torch.relu(self.node(torch.cat((memory, z, moved), dim=-1)))
         mixed, senders = self._mix(node, edges, around, others, lambda values: values[:, None])
@@ -237,14 +237,14 @@ class Decoder(nn.Module):
         others: Tensor | None,
         among: Callable[[Tensor], Tensor],
     ) -> tuple[Tensor, Tensor]:
-        """Return the rows' embeddings after the interaction net, and what all agents send.
+        """Return the rows' embeddings after the interaction net, and the messages sent by all agents.
 
         Args:
             h: (B, R, D) the rows' embeddings.
             edges: for each layer, what relative poses add to the messages.
             around: the scenes.
-            others: (layers, B, A, M) what was sent by those who are not rolled out; None: everybody is.
-            among: values of all agents (B, A, …) → of those whom each row hears, (B, R or 1, K, …).
+            others: (layers, B, A, M) messages of agents that are not rolled out; None: all agents are.
+            among: selects, from values of all agents (B, A, …), those of each row's senders, (B, R or 1, K, …).
         """
         said, mask = [], among(around.batch.present)
         for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
@@ -258,7 +258,7 @@ class Decoder(nn.Module):
     def _drive(
         self, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch
     ) -> tuple[State, Tensor]:
-        """Return where agents who see *mixed* (B, A, D) get to in a step, and their memory of it."""
+        """Return state and memory after a step for agents with embeddings *mixed* (B, A, D)."""
         accel, curvature = controls(self.action(mixed), motion[2], batch.size[..., 0], self.options)
         accel, curvature = accel * batch.moved, curvature * batch.moved
         motion = bicycle_step(*motion, accel, curvature, MODEL_STEP_S)
@@ -269,18 +269,18 @@ class Decoder(nn.Module):
 
 
 def motion_now(batch: SceneBatch) -> Motion:
-    """Return where the agents of *batch* begin."""
+    """Return the present motion of the agents of *batch*."""
     pose = batch.pose
     return pose[..., :2], pose[..., 2], pose[..., 3].clamp(min=0.0)
 
 
 def rollout_of(states: Sequence[State]) -> Rollout:
-    """Return the instants *states* as one roll-out."""
+    """Return the rollout made of *states*, one for each instant."""
     return Rollout(*(torch.stack(column, dim=2) for column in zip(*states, strict=True)))
 
 
 def motion_features(xy: Tensor, yaw: Tensor, speed: Tensor, batch: SceneBatch) -> Tensor:
-    """Return (B, A, 6) how far each agent of *batch* has come: (B, A, 2) places, (B, A) headings and speeds."""
+    """Return (B, A, 6) features of each agent's motion since now: positions (B, A, 2), headings and speeds (B, A)."""
     pose = batch.pose
     moved = 0.05 * into_frame(xy, pose[..., :2], pose[..., 2])
     turn = yaw - pose[..., 2]

@@ -1,11 +1,11 @@
 """Noise prediction network: a 1-D U-Net over z̃ with z concatenated and AdaGN (Sec. III-B).
 
-The paper's network looks at one vehicle at a time: what two of them draw can then only be made to fit by the
-decoder. Here a graph layer tells each vehicle what the others' noisy latents say at this step, so that a scene is
-drawn as one; it works through the state embedding of AdaGN and begins as nothing at all.
+The paper's network denoises each vehicle on its own, so that only the decoder can make the samples of two vehicles
+consistent. Here a graph layer exchanges the noisy latents of all vehicles at each step: a scene is sampled jointly.
+Its output, initialised to zero, is added to the state embedding that AdaGN reads.
 
-Feature maps are kept channels first, (C, B, A, L): a convolution is then one product of matrices for all vehicles.
-What does not depend on the noisy sample is :meth:`Denoiser.prepare`'s, once a plan.
+Feature maps have channels first, (C, B, A, L): a convolution is then one matrix product for all vehicles.
+:meth:`Denoiser.prepare` computes, once a plan, what does not depend on the noisy sample.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def sinusoidal(k: Tensor, width: int) -> Tensor:
 class AdaGN(nn.Module):
     """AdaGN(h, k, f) = h_s (k_s GroupNorm(f) + k_b), with h_s affine in h and (k_s, k_b) = MLP(φ(k)).
 
-    Begins as GroupNorm alone: h_s = k_s = 1 and k_b = 0.
+    Initialised as plain GroupNorm: h_s = k_s = 1 and k_b = 0.
     """
 
     def __init__(self, channels: int, hidden: int) -> None:
@@ -62,7 +62,7 @@ class AdaGN(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """Two convolutions with AdaGN before each, and a way past them."""
+    """Two convolutions, each after AdaGN, and a skip connection."""
 
     def __init__(self, before: int, after: int, hidden: int) -> None:
         super().__init__()
@@ -80,11 +80,11 @@ class ResidualBlock(nn.Module):
 
 
 class Coupling(nn.Module):
-    """h + W G(z̃ᵏ, k, z, h): the state embedding, and what all vehicles' noisy latents mean for it.
+    """h + W G(z̃ᵏ, k, z, h): the state embedding plus messages between all vehicles' noisy latents.
 
     Args:
         options: sizes.
-        numbers: how many numbers of a vehicle are diffused.
+        numbers: how many numbers are diffused for each vehicle.
     """
 
     def __init__(self, options: ModelOptions, numbers: int) -> None:
@@ -97,7 +97,7 @@ class Coupling(nn.Module):
         self.out = silent(nn.Linear(width, options.hidden))
 
     def prepare(self, context: Context) -> tuple[Tensor, Tensor]:
-        """Return what the vehicles know (B, A, M) and, by layer, what relative poses say (layers, B, A, A, M)."""
+        """Return embedded conditions (B, A, M) and embedded relative poses (layers, B, A, A, M)."""
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
         return known, torch.stack(self.net.prepare(context.relative))
 
@@ -109,14 +109,14 @@ class Coupling(nn.Module):
 
 
 class Prepared(NamedTuple):
-    """What of a noise prediction does not depend on the noisy sample.
+    """The part of a noise prediction that does not depend on the noisy sample.
 
     Attributes:
         h: (B, A, D) state embeddings.
-        condition: (B, A, L) the condition z as the first convolution reads it.
-        known: (B, A, M) what vehicles know, of ``Coupling.prepare``; (B, A, 0) without coupling.
-        edges: (layers, B, A, A, M) what relative poses say.
-        drawn: (B, A) whose latents mean something.
+        condition: (B, A, L) the condition z as input of the first convolution.
+        known: (B, A, M) embedded conditions, of ``Coupling.prepare``; (B, A, 0) without coupling.
+        edges: (layers, B, A, A, M) embedded relative poses.
+        drawn: (B, A) whether the agent has a latent.
     """
 
     h: Tensor
@@ -127,7 +127,7 @@ class Prepared(NamedTuple):
 
 
 class Denoiser(nn.Module):
-    """ε(z̃ᵏ, k, z, h), all vehicles of a scene together.
+    """ε(z̃ᵏ, k, z, h) of all vehicles of a scene jointly.
 
     Args:
         options: sizes.
@@ -165,14 +165,14 @@ class Denoiser(nn.Module):
     def forward(self, x: Tensor, k: Tensor, context: Context) -> Tensor:
         """Return the noise (B, A, C, L) predicted in latents or trajectories *x* (B, A, C, L) at steps *k* (B,), 1 … K.
 
-        The condition z is the mean of the *context*'s prior, h are its embeddings.
+        The condition z is the mean of the *context*'s prior, h its embeddings.
         """
         return self.predict(x, sinusoidal(k, STEP_WIDTH), self.prepare(context))
 
     def prepare(self, context: Context) -> Prepared:
-        """Return what of the prediction does not depend on noisy sample and step."""
+        """Return the part of the prediction that depends on neither noisy sample nor step."""
         mean = context.prior.mean
-        if self.situation is not None:  # lights, vehicles ahead and limits
+        if self.situation is not None:  # signals, lead vehicles and speed limits
             context = replace(context, h=context.h + self.situation(context.situation))
         known, edges = mean[..., :0], mean[None, :, :, None, :0]
         if self.coupling is not None:
@@ -196,7 +196,7 @@ class Denoiser(nn.Module):
 
 
 def convolved(layer: nn.Conv1d, x: Tensor) -> Tensor:
-    """Return *layer*, which keeps lengths, of maps *x* (C, B, A, L): one product with each place and its neighbours."""
+    """Return length-preserving convolution *layer* of maps *x* (C, B, A, L), computed as one matrix product."""
     weight, reach = layer.weight, layer.kernel_size[0] // 2
     length = x.shape[-1]
     wide = pad(x, (reach, reach))
@@ -208,12 +208,12 @@ def convolved(layer: nn.Conv1d, x: Tensor) -> Tensor:
 
 
 def normalised(x: Tensor, by: nn.GroupNorm | None = None) -> Tensor:
-    """Return GroupNorm of maps *x* (C, B, A, L), with the weights of *by*."""
+    """Return GroupNorm of maps *x* (C, B, A, L), with the weights of *by*; None: without weights."""
     rows = x.flatten(1, 2).transpose(0, 1)
     weights = (None, None) if by is None else (by.weight, by.bias)
     return group_norm(rows, GROUPS, *weights).transpose(0, 1).reshape(x.shape)
 
 
 def halved(x: Tensor) -> Tensor:
-    """Return means of pairs of places (…, L / 2)."""
+    """Return means of neighbouring pairs (…, L / 2)."""
     return 0.5 * (x[..., ::2] + x[..., 1::2])

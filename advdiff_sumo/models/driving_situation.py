@@ -1,7 +1,7 @@
-"""What a driver decides by whether to start, to keep rolling or to slow down: light, vehicle ahead, speed limit.
+"""Features of the driving situation: signal ahead, lead vehicle, speed limit.
 
-The context embedding hardly tells a red light from a green one: trained on recordings, in which who has stood for two
-seconds goes on standing, it had no need to. These columns say it outright.
+The context embedding hardly distinguishes a red light from a green one: in recordings a vehicle that has stood for two
+seconds mostly stays standing, so the embedding did not need to. These features state it explicitly.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _STANDS_MPS, _SPEED_MPS = 0.3, 10.0
 def situation_features(batch: SceneBatch) -> Tensor:
     """Return 11 columns (B, A, F) for every agent; speeds in 10 m/s.
 
-    Three: exp(−way / 15 m) to the nearest line straight ahead whose light is red, yellow, green; 0 where there is
-    none. Five: exp(−gap / 3 m) to the nearest body straight ahead, f = exp(−gap / 15 m), f times its speed along the
-    agent's heading, f where it stands, f times the closing speed; 0 where nobody is ahead. Three: the speed limit of
-    the own lane (off the lanes the own speed), by how much the own speed is below it, the own speed.
+    Signals (3): exp(−distance / 15 m) to the nearest stop line straight ahead with a red, yellow, green light, else 0.
+    Lead vehicle (5): exp(−gap / 3 m) to the nearest box straight ahead, f = exp(−gap / 15 m), f × its speed along
+    the agent's heading, f if it stands (else 0), f × closing speed; all 0 without one. Speed (3): limit of the agent's
+    lane (off the lanes its speed), that limit minus its speed, its speed.
     """
     return torch.cat((_lights(batch), _leader(batch), _limit(batch)), dim=-1)
 
 
 def _aligned_lanes(batch: SceneBatch) -> Tensor:
-    """Return (B, A, K) which map pieces are lanes that begin in the agent's direction."""
+    """Return (B, A, K) which map pieces are lanes whose first segment has the agent's direction."""
     way = batch.map_xy[..., 1, :] - batch.map_xy[..., 0, :]
     turned = torch.atan2(way[..., 1], way[..., 0]).abs()
     return batch.map_valid & (batch.map_features[..., _IS_LANE] > 0.5) & (turned < _ALIGNED_RAD)

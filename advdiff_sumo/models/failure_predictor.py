@@ -1,8 +1,8 @@
-"""Probability that a planner fails validly in an encounter: logistic regression with a Gaussian belief about it.
+"""Probability that a planner fails validly in an encounter: Bayesian logistic regression.
 
-Planners share a Gaussian prior over the coefficients of the regression, which has been estimated on planted defects
-(``tools/failure_prior.py``). What one planner did in a few encounters moves its own coefficients alone (Laplace
-approximation, Bishop 2006, Sec. 4.5): the prior keeps all that these encounters say nothing about.
+All planners share a Gaussian prior of the coefficients, which has been estimated on planted defects
+(``tools/failure_prior.py``). The encounters of one planner update the coefficients of that planner (Laplace
+approximation, Bishop 2006, Sec. 4.5); directions that they say nothing about stay at the prior.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _MISSING, _REMEDY = "make it with advdiff-sumo warmup --licence lawful", "give a
 
 @dataclass(frozen=True)
 class FailurePredictor:
-    """What is believed of a planner; D features.
+    """Gaussian distribution of a planner's coefficients; D features.
 
     Attributes:
         mean: (D,) expected coefficients.
         covariance: (D, D) of the coefficients.
-        typical: (K, D) features of the mean encounter of each kind, in the order of the kinds among the features.
+        typical: (K, D) mean features of encounters of each kind, in the order of the kinds among the features.
     """
 
     mean: FloatArray
@@ -38,14 +38,14 @@ class FailurePredictor:
     typical: FloatArray
 
     def probability(self, features: FloatArray) -> FloatArray:
-        """Return (C,) probabilities of a valid failure in encounters with *features* (C, D), as is expected.
+        """Return (C,) probabilities of a valid failure in encounters with *features* (C, D), at the mean coefficients.
 
-        Averaged over the uncertain ones, what nobody has met would look half as likely as what has failed.
+        Averaging over their uncertainty would rate unseen encounters half as likely to fail as ones that have failed.
         """
         return sigmoid(features @ self.mean)
 
     def adapted(self, features: FloatArray, outcomes: FloatArray) -> FailurePredictor:
-        """Return what is believed once *outcomes* (N,), 0 to 1, of encounters with *features* (N, D) are known."""
+        """Return the predictor updated by *outcomes* (N,), 0 to 1, of encounters with *features* (N, D)."""
         mean, covariance = posterior(self.mean, self.covariance, features, outcomes)
         return replace(self, mean=mean, covariance=covariance)
 
@@ -60,13 +60,13 @@ def posterior(
 ) -> tuple[FloatArray, FloatArray]:
     """Return mode (D,) and covariance (D, D) of the coefficients after N encounters.
 
-    Newton's method on the log posterior, which is concave; the covariance is that of its curvature at the mode.
+    Newton's method on the log posterior, which is concave; the covariance is the inverse of its curvature there.
 
     Args:
         mean: (D,) of the Gaussian prior.
         covariance: (D, D) of it, positive definite.
         features: (N, D).
-        outcomes: (N,) 0: answered calmly, 1: failed; between: a share of a failure.
+        outcomes: (N,) 1: failed, 0: resolved with ease; between: a near miss.
     """
     precision = np.linalg.inv(covariance)
     mode = mean.copy()

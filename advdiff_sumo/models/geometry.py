@@ -29,10 +29,11 @@ RELATIVE_FEATURES = 9
 
 
 def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | None = None) -> Tensor:
-    """Return how agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), look from *rows* (R,); None: from all.
+    """Return relative states of agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), as seen by *rows* (R,).
 
-    Free of the world's frame: entry [b, i, j] of (B, R, A, 9) is agent j seen from i: position / 20 m, its compressed
-    distance, unit heading, velocity and velocity difference / 10 m/s in i's frame.
+    *rows* None: by all. Independent of the world's frame: entry [b, i, j] of (B, R, A, 9) is agent j in i's frame:
+    position / 20 m, exp(−distance / 10 m), unit heading, velocity, velocity relative to i along i's heading, and i's
+    own speed, all speeds / 10 m/s.
     """
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     place, ci, si, own = (x if rows is None else x[:, rows] for x in (xy, cos, sin, speed))
@@ -48,7 +49,7 @@ def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | Non
 def relative_columns(
     ahead_m: Tensor, left_m: Tensor, cos: Tensor, sin: Tensor, speed_mps: Tensor, own_speed_mps: Tensor
 ) -> tuple[Tensor, ...]:
-    """Return the columns of :func:`relative_features` for others at these places and headings in one's own frame."""
+    """Return the columns of :func:`relative_features` for agents at these positions and headings in the own frame."""
     vx, vy = 0.1 * speed_mps * cos, 0.1 * speed_mps * sin
     own = (0.1 * own_speed_mps).expand_as(vx)
     near = torch.exp(-0.1 * torch.sqrt(ahead_m * ahead_m + left_m * left_m + 1e-6))
@@ -56,10 +57,10 @@ def relative_columns(
 
 
 def from_segments(points: Tensor, first: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return how *points* lie to segments that begin at *first* and go *along*, (…, 2) each.
+    """Return the position of *points* relative to segments from *first* to *first* + *along*, (…, 2) each.
 
     Returns:
-        The vectors (…, 2) from the nearest points of the segments and from their beginnings, and squared lengths (…).
+        Vectors (…, 2) from the nearest point of the segment and from its first point, and its squared length (…).
     """
     delta = points - first
     squared = along.square().sum(-1).clamp(min=1e-6)

@@ -12,11 +12,11 @@ from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.perceptron import perceptron
 
 ABSENT = -1e9
-"""What stands for, or is added to, the scores of senders who are not there."""
+"""Attention score of absent senders."""
 
 
 class InteractionLayer(nn.Module):
-    """One graph layer: each agent gathers, by attention, messages made of both ends and their relative pose."""
+    """One graph layer: each agent attends to messages computed from sender, receiver and their relative pose."""
 
     def __init__(self, width: int, edge: int, message: int, heads: int) -> None:
         super().__init__()
@@ -30,20 +30,20 @@ class InteractionLayer(nn.Module):
         self.mix = perceptron(width, width, width)
 
     def forward(self, h: Tensor, edges: Tensor, mask: Tensor) -> Tensor:
-        """Return new embeddings (B, A, D) of those in *h* (B, A, D) who take part, by *mask* (B, A).
+        """Return new embeddings (B, A, D) of agents *h* (B, A, D); 0 outside *mask* (B, A).
 
-        *edges* (B, A, A, M) is what relative poses add to the messages, from :attr:`edge`.
+        *edges* (B, A, A, M) are the contributions of relative poses to the messages, from :attr:`edge`.
         """
         return self.receive(h, edges, self.sender(h)[:, None], mask[:, None]) * mask[..., None]
 
     def receive(self, h: Tensor, edges: Tensor, sent: Tensor, mask: Tensor) -> Tensor:
-        """Return new embeddings (B, R, D) of receivers, who need not be all agents, from K senders each.
+        """Return new embeddings (B, R, D) of R receivers, with K senders each.
 
         Args:
-            h: (B, R, D) their embeddings.
-            edges: (B, R, K, M) what relative poses add to the messages, from :attr:`edge`.
-            sent: (B, R or 1, K, M) what the senders add to the messages, from :attr:`sender`.
-            mask: (B, R or 1, K) which senders take part.
+            h: (B, R, D) embeddings of the receivers.
+            edges: (B, R, K, M) contributions of relative poses to the messages, from :attr:`edge`.
+            sent: (B, R or 1, K, M) contributions of the senders to the messages, from :attr:`sender`.
+            mask: (B, R or 1, K) which senders are present.
         """
         message = torch.relu_(edges + self.receiver(h)[:, :, None] + sent)
         score = self.score(message).masked_fill(~mask[..., None], ABSENT)
@@ -56,7 +56,7 @@ class InteractionLayer(nn.Module):
 
 
 class InteractionNet(nn.Module):
-    """Graph layers one after the other, sharing the embedded relative poses.
+    """A stack of graph layers with shared embeddings of relative poses.
 
     Args:
         width: of the embeddings.
@@ -74,23 +74,23 @@ class InteractionNet(nn.Module):
         )
 
     def forward(self, h: Tensor, relative: Tensor, mask: Tensor) -> Tensor:
-        """Return what embeddings *h* (B, A, D) become that know of the others, by *relative* poses (B, A, A, 9).
+        """Return embeddings *h* (B, A, D) after the exchange of messages, for *relative* poses (B, A, A, 9).
 
-        Agents outside *mask* (B, A) take no part.
+        Agents outside *mask* (B, A) neither send nor receive.
         """
         return self.mix(h, self.prepare(relative), mask)
 
     def prepare(self, relative: Tensor) -> list[Tensor]:
-        """Return for each layer what relative poses (B, A, A, 9) add to the messages; free of the embeddings."""
+        """Return, for each layer, the contributions of *relative* poses (B, A, A, 9) to the messages."""
         edges = self.edges(relative)
         return [layer.edge(edges) for layer in self.in_order()]
 
     def mix(self, h: Tensor, edges: list[Tensor], mask: Tensor) -> Tensor:
-        """Return :meth:`forward` of embeddings *h* (B, A, D) with *edges* prepared beforehand."""
+        """Return :meth:`forward` of embeddings *h* (B, A, D), with *edges* of :meth:`prepare`."""
         for layer, edge in zip(self.in_order(), edges, strict=True):
             h = layer(h, edge, mask)
         return h
 
     def in_order(self) -> list[InteractionLayer]:
-        """Return the layers, the first one first."""
+        """Return the layers in order."""
         return [layer for layer in self.layers if isinstance(layer, InteractionLayer)]

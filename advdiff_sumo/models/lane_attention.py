@@ -1,4 +1,4 @@
-"""Attention over the lane pieces that are near a vehicle, or coming, where it has got to."""
+"""Attention over the lane pieces near and ahead of a vehicle's position in the rollout."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from advdiff_sumo.models.perceptron import perceptron, silent
 NEAREST = 9
 """Lane pieces that a vehicle attends to."""
 _AHEAD = 0.4
-"""What lies ahead counts as nearer than it is, as in ``maps.vector_map``."""
+"""Factor on distances ahead, so that pieces ahead rank as nearer, as in ``maps.vector_map``."""
 _FAR_M2 = 1e8
 _OFFSET_M = 5.0
 _CLOSEST = 4
@@ -24,12 +24,12 @@ _SCALE = (0.25, 0.1, *[1.0] * (PIECE_FEATURES - 2))
 
 @dataclass(frozen=True)
 class LanePieces:
-    """Lane pieces around R vehicles, in the frame that each of them had at the beginning.
+    """Lane pieces around R vehicles, in the frame of each vehicle at the beginning of the rollout.
 
     Attributes:
         xy: (B, R, L, N, 2) points in driving direction.
-        features: (B, R, L, F) columns, as in ``SceneBatch.map_features``.
-        valid: (B, R, L) whether the piece is real.
+        features: (B, R, L, F) as in ``SceneBatch.map_features``.
+        valid: (B, R, L) whether the piece is real, not padding.
     """
 
     xy: Tensor
@@ -38,14 +38,14 @@ class LanePieces:
 
     @staticmethod
     def of(batch: SceneBatch) -> LanePieces:
-        """Return the lane pieces of all agents of *batch*; its other pieces are road edges."""
+        """Return the lane pieces of all agents of *batch*, without its road edges."""
         lanes = slice(0, LANES_OF[batch.map_xy.shape[2]])
         return LanePieces(
             batch.map_xy[:, :, lanes], batch.map_features[:, :, lanes], batch.map_valid[:, :, lanes]
         )
 
     def seen_from(self, place: Tensor, turn: Tensor) -> LanePieces:
-        """Return the ``NEAREST`` pieces seen from *place* (B, R, 2), *turn* (B, R) in the frames at the beginning."""
+        """Return the ``NEAREST`` pieces in new frames at *place* (B, R, 2) and *turn* (B, R) of the present ones."""
         cos, sin = torch.cos(turn), torch.sin(turn)
         into = torch.stack((cos, -sin, sin, cos), dim=-1).reshape(*turn.shape, 2, 2)
         shape = self.xy.shape
@@ -60,7 +60,7 @@ class LanePieces:
         )
 
     def _nearest(self, xy: Tensor) -> Tensor:
-        """Return which pieces (B, R, 9) of points *xy* (B, R, L, N, 2) in the vehicles' frames are near or coming."""
+        """Return the indices (B, R, 9) of the nearest pieces, whose points are *xy* (B, R, L, N, 2)."""
         x, y = xy.unbind(-1)
         ahead = torch.where(x > 0.0, _AHEAD * x, x)
         away = torch.addcmul(ahead.square(), y, y).amin(-1).masked_fill(~self.valid, _FAR_M2)
@@ -68,9 +68,9 @@ class LanePieces:
 
 
 def closest(xy: Tensor) -> Tensor:
-    """Return (…, 4) how the origin lies to polylines (…, N, 2): offset, distance, and the line's unit direction.
+    """Return (…, 4) lateral offset and distance of the origin from polylines (…, N, 2), and their unit direction.
 
-    The offset is to the left of the line's nearest segment; both lengths are in units of 5 m, at most 1.
+    All refer to the nearest segment; the offset is positive left of it. Both lengths are / 5 m and clipped to ±1.
     """
     first, along = xy[..., :-1, :], xy[..., 1:, :] - xy[..., :-1, :]
     away, _, squared = from_segments(first.new_zeros(2), first, along)
@@ -84,7 +84,7 @@ def closest(xy: Tensor) -> Tensor:
 
 
 class LaneAttention(nn.Module):
-    """What the nearest and coming lane pieces say to each vehicle; begins as nothing."""
+    """Attention of each vehicle to the lane pieces near it; the output is initialised to zero."""
 
     scale: Tensor
 
@@ -99,10 +99,10 @@ class LaneAttention(nn.Module):
         self.out = silent(nn.Linear(width, options.hidden))
 
     def forward(self, state: Tensor, pieces: LanePieces) -> Tensor:
-        """Return (B, R, D) for *state* (B, R, Q), what each asks with; *pieces* are of ``LanePieces.seen_from``."""
+        """Return (B, R, D) for queries from *state* (B, R, Q) to *pieces* of ``LanePieces.seen_from``."""
         columns = (0.05 * pieces.xy.flatten(-2), closest(pieces.xy), pieces.features * self.scale)
         embedded = self.piece(torch.cat(columns, dim=-1))  # (B, R, 9, W)
-        # keys and values are linear in the pieces: each is asked for and summed up before it is made
+        # keys and values are linear in the pieces, so that they are applied to query and pooled pieces instead
         of_key, of_value = (w.reshape(self.heads, -1, w.shape[1]) for w in self.key_value.weight.chunk(2))
         query = self.query(state).unflatten(-1, (self.heads, -1)) * of_key.shape[1] ** -0.5
         asked = torch.einsum("brhd,hdw->brhw", query, of_key)
@@ -110,6 +110,6 @@ class LaneAttention(nn.Module):
         score = (asked @ embedded.transpose(-1, -2)).masked_fill(~mask, -1e9)  # (B, R, H, 9)
         weight = torch.softmax(score, dim=-1) * mask
         pooled = torch.einsum("brhw,hdw->brhd", weight @ embedded, of_value).flatten(-2)
-        bias = self.key_value.bias.chunk(2)[1]  # that of the keys adds the same to every score
+        bias = self.key_value.bias.chunk(2)[1]  # the keys' bias adds the same to every score
         out: Tensor = self.out(pooled + bias * mask.any(-1))
         return out

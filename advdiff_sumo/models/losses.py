@@ -1,7 +1,7 @@
-"""Reconstruction, KL and differentiable collision penalties.
+"""Reconstruction loss and differentiable penalties of collisions and of leaving the road.
 
-Vehicles are five discs along their length, as in TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026):
-two vehicles touch where discs overlap, and the penalty falls linearly to zero where they are just apart.
+A vehicle is represented by five discs along its length, as in TrafficSim (Suo et al. 2021,
+doi:10.1109/CVPR46437.2021.01026). The penalty decreases linearly with the distance of two discs, to 0 at contact.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _LEAST_REACH_M = 0.1
 
 
 def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return (B, A, T) the error of a rollout against what happened: Huber on metres, heading and speed.
+    """Return (B, A, T) errors of a rollout from the recorded future: Huber loss of position, heading and speed.
 
-    Positions count along and across the true heading, across with five times the weight: half a metre beside the
-    lane is worse than half a metre further on it.
+    Position errors are along and across the true heading; errors across have five times the weight, as half a metre
+    beside the lane is worse than half a metre along it.
     """
     future = batch.future
     error = into_frame(rollout.xy, future[..., :2], future[..., 2]) * rollout.xy.new_tensor((1.0, 5.0))
@@ -36,12 +36,12 @@ def reconstruction(rollout: Rollout, batch: SceneBatch) -> Tensor:
 
 
 def masked_mean(value: Tensor, mask: Tensor) -> Tensor:
-    """Return the mean of *value* where *mask*; 0 where that is nowhere."""
+    """Return the mean of *value* over *mask*; 0 if the mask is empty."""
     return torch.where(mask, value, 0.0).sum() / mask.sum().clamp(min=1)
 
 
 def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
-    """Return centres (…, 5, 2) and radius (…,) of the discs that stand for boxes at *xy* (…, 2), of *size* (…, 2)."""
+    """Return centres (…, 5, 2) and radius (…,) of the discs that represent boxes at *xy* (…, 2) of *size* (…, 2)."""
     length, radius = size[..., 0], 0.5 * size[..., 1]
     offsets = torch.linspace(-1.0, 1.0, DISCS, device=xy.device, dtype=xy.dtype)
     along = (0.5 * length - radius).clamp(min=0.0)[..., None] * offsets
@@ -52,7 +52,7 @@ def discs(xy: Tensor, yaw: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
 def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
     """Return (B, A, A, T) overlap of every two agents in [0, 1]: 1 − d / (r_i + r_j), zero where discs are apart.
 
-    Boxes are of *size* (B, A, 2); who is not *present* (B, A) overlaps nobody.
+    Boxes have *size* (B, A, 2); agents that are not *present* (B, A) overlap no others.
     """
     squared, reach = disc_pairs(rollout, size)
     gap = torch.sqrt(squared.amin(-1) + 1e-9)
@@ -60,7 +60,7 @@ def pair_overlap(rollout: Rollout, size: Tensor, present: Tensor) -> Tensor:
 
 
 def between_two(value: Tensor, present: Tensor) -> Tensor:
-    """Return *value* (B, A, A, T) where two different agents are both *present* (B, A), 0 elsewhere."""
+    """Return *value* (B, A, A, T) for pairs of different agents that are *present* (B, A), 0 for all others."""
     others = present[:, :, None] & present[:, None]
     others = others & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
     return torch.where(others[..., None], value, 0.0)
@@ -73,15 +73,15 @@ def disc_pairs(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
     mine, yours = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
     squared = (mine - yours).square().sum(-1).flatten(-2)
     wide = radius[:, :, 0]
-    # padding has no width: a gap divided by nothing would make every gradient not a number
+    # padding has no width: dividing by 0 would make all gradients NaN
     reach = (wide[:, :, None] + wide[:, None]).clamp(min=_LEAST_REACH_M)
     return squared, reach[..., None]
 
 
 def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
-    """Return signed distances (B, A, M) of points *xy* (B, A, M, 2) of the scene to the nearest road edge.
+    """Return signed distances (B, A, M) of points *xy* (B, A, M, 2) in the scene's frame to the nearest road edge.
 
-    Positive on the road, large without an edge; each agent's own map pieces are searched.
+    Positive on the road, large without an edge. Only each agent's own map pieces are searched.
     """
     pose = batch.pose[:, :, None]
     local = into_frame(xy, pose[..., :2], pose[..., 2].expand(xy.shape[:-1]))
@@ -89,9 +89,9 @@ def edge_clearance(xy: Tensor, batch: SceneBatch) -> Tensor:
 
 
 def off_road(rollout: Rollout, batch: SceneBatch, edges: RoadEdges | None = None) -> Tensor:
-    """Return (B, A, T) how far a vehicle's discs are over the road's edge, as a share of its width, at most 2.
+    """Return (B, A, T) how far a vehicle's discs are beyond the road edge, as a share of its width, at most 2.
 
-    *edges* are those of *batch*, for who needs them more than once.
+    *edges* are those of *batch*; None: computed anew.
     """
     edges = RoadEdges.of(batch) if edges is None else edges
     over = beyond_edge(rollout, batch.size, batch.pose, edges)
@@ -99,7 +99,7 @@ def off_road(rollout: Rollout, batch: SceneBatch, edges: RoadEdges | None = None
 
 
 def beyond_edge(rollout: Rollout, size: Tensor, pose: Tensor, edges: RoadEdges) -> Tensor:
-    """Return :func:`off_road` of vehicles of *size* (B, A, 2), with *edges* in the frames of *pose* (B, A, 4)."""
+    """Return :func:`off_road` for vehicles of *size* (B, A, 2), with *edges* in the frames of *pose* (B, A, 4)."""
     steps = rollout.xy.shape[2]
     centres, radius = discs(rollout.xy, rollout.yaw, size[:, :, None].expand(-1, -1, steps, -1))
     points, origin = centres[..., ::2, :].flatten(2, 3), pose[:, :, None]

@@ -17,35 +17,35 @@ MODEL_STEP_S = 0.5
 CLASSES = 6
 PIECE_POINTS = 6
 LANES_OF = {lanes + edges: lanes for lanes, edges in MAP_PIECES.values()}
-"""How many of the pieces that an agent sees are lanes."""
+"""Number of an agent's map pieces → number of lanes among them."""
 GROUPS = 8
 """Groups of the denoiser's group normalisation."""
 PIECE_FEATURES = 13
-"""Columns of a map piece: ten of the map table, then one-hot red, yellow, green."""
+"""Features of a map piece: ten of the map table, then one-hot red, yellow, green."""
 
 
 class ModelOptions(Options):
-    """Sizes of every network; a checkpoint carries them.
+    """Sizes of all networks; stored in checkpoints.
 
     Attributes:
         hidden: width D of the state embedding h.
-        latent: numbers Z of a vehicle's latent z; 32 in the paper's implementation here.
+        latent: dimensions Z of a vehicle's latent z.
         edge: width of the relative-pose embedding in interaction nets.
         message: width of the messages between agents.
         heads: attention heads of the map pooling and of the interaction nets.
         interaction_layers: fully connected graph layers of encoder, posterior and reward model (two in Sec. III-B).
-        decoder: "open": it knows the map from the context alone; "closed-loop": it looks at lanes, road edge and
-            bodies again at each of its steps, see ``models.closed_loop_decoder``.
+        decoder: "open": knows the map only through the context; "closed-loop": observes lanes, road edges and
+            neighbours anew at each of its steps, see ``models.closed_loop_decoder``.
         decoder_layers: graph layers at each of the decoder's steps.
-        neighbours: agents, itself among them, that each vehicle looks at in a step of the closed-loop decoder, the
-            nearest ones; 0: all.
-        map_view: how much of the map each vehicle sees: "near": 60 m around; "far": what it may drive in 6 s, too.
-        denoiser_layers: graph layers through which vehicles see each other's noisy latents; 0: each on its own.
-        denoiser_situation: tell the denoiser outright of lights, vehicles ahead and limits, see
+        neighbours: how many of the nearest agents, itself included, each vehicle observes in a step of the closed-loop
+            decoder; 0: all.
+        map_view: how much of the map each vehicle sees: "near": 60 m around it; "far": also what it can reach in 6 s.
+        denoiser_layers: graph layers between the vehicles' noisy latents; 0: each vehicle is denoised on its own.
+        denoiser_situation: give the denoiser features of signals, lead vehicles and speed limits, see
             ``models.driving_situation``.
         channels: channels of the denoiser's U-Net at full, half and quarter length.
         reward_hidden: width of the reward model.
-        accel_mps2: strongest acceleration that the decoder can give.
+        accel_mps2: strongest acceleration of the decoder.
         brake_mps2: strongest deceleration.
         lateral_mps2: strongest lateral acceleration.
         steer_rad: largest front-wheel angle.
@@ -72,7 +72,7 @@ class ModelOptions(Options):
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
-        """Refuse widths that heads or groups do not divide."""
+        """Refuse widths that are not divisible by the number of heads or groups."""
         for name in ("hidden", "message", "reward_hidden"):
             if getattr(self, name) % self.heads:
                 raise ValueError(f"{name} = {getattr(self, name)} is no multiple of heads = {self.heads}")

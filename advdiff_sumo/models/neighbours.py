@@ -1,4 +1,4 @@
-"""The agents nearest to each row of a scene, as that row sees them."""
+"""The agents nearest to each row of a scene, in that row's frame."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _ABSENT_M2 = 1e10
 
 @dataclass(frozen=True)
 class Neighbours:
-    """K agents in the frames of R rows; (B, R, K) each, but for what is the row's own, (B, R, 1).
+    """K agents in the frames of R rows; tensors (B, R, K), those of the row itself (own_…) (B, R, 1).
 
     Attributes:
-        which: the agents; None: all A of them, in order.
+        which: indices of the agents; None: all A agents in order.
         ahead_m: position along the row's heading.
         left_m: position to its left.
         cos: of the angle from the row's heading to the other's.
@@ -48,9 +48,9 @@ class Neighbours:
     def of(
         xy: Tensor, yaw: Tensor, speed: Tensor, size: Tensor, rows: Tensor, which: Tensor | None = None
     ) -> Neighbours:
-        """Return how agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), of *size* (B, A, 2), look to *rows* (R,).
+        """Return agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A) and *size* (B, A, 2), as seen by *rows* (R,).
 
-        They look at *which* (B, R, K), of :func:`nearest_agents`; None: at all.
+        The agents are *which* (B, R, K), of :func:`nearest_agents`; None: all.
         """
         x, y = xy.unbind(-1)
         length, width = (0.5 * size).unbind(-1)
@@ -88,7 +88,7 @@ class Neighbours:
         return relative_columns(self.ahead_m, self.left_m, self.cos, self.sin, *speeds)
 
     def among(self, values: Tensor) -> Tensor:
-        """Return (B, R or 1, K, …) what the *values* (B, A, …) of these agents are."""
+        """Return (B, R or 1, K, …) the *values* (B, A, …) of these agents."""
         if self.which is None:
             return values[:, None]
         agents = values.shape[1]
@@ -100,9 +100,9 @@ class Neighbours:
 
 @torch.no_grad()
 def nearest_agents(xy: Tensor, present: Tensor, rows: Tensor, count: int) -> Tensor | None:
-    """Return the *count* agents (B, R, K) nearest to *rows* (R,), themselves among them; None: that is all of them.
+    """Return indices (B, R, K) of the *count* agents nearest to *rows* (R,), the rows included; None: all agents.
 
-    Their centres are *xy* (B, A, 2); who is not *present* (B, A) comes last. A *count* of 0 is no bound.
+    *xy* (B, A, 2) are centres. Agents that are not *present* (B, A) rank last. A *count* of 0 means all agents.
     """
     if count <= 0 or count >= xy.shape[1]:
         return None

@@ -1,4 +1,4 @@
-"""Perceptrons, and parts that begin as nothing, so that trained weights can be trained on with them."""
+"""Perceptrons, and layers initialised to zero output, which can be added to a trained network."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _Layer = TypeVar("_Layer", nn.Linear, nn.Conv1d)
 
 
 def perceptron(*widths: int, ends_in_relu: bool = False) -> nn.Sequential:
-    """Return linear layers from each of *widths* to the next one, with ReLU behind each but the last, or that too."""
+    """Return linear layers of these *widths*, with ReLU after each but the last, and after that if *ends_in_relu*."""
     layers = [layer for sizes in pairwise(widths) for layer in (nn.Linear(*sizes), nn.ReLU())]
     return nn.Sequential(*(layers if ends_in_relu else layers[:-1]))
 
 
 def silent(layer: _Layer) -> _Layer:
-    """Return *layer*, whose output begins as 0."""
+    """Return *layer* with all weights set to 0."""
     for weight in layer.parameters():
         nn.init.zeros_(weight)
     return layer
@@ -27,6 +27,6 @@ def silent(layer: _Layer) -> _Layer:
 def from_nothing(
     inputs: int, hidden: int, outputs: int, activation: Callable[[], nn.Module] = nn.ReLU
 ) -> nn.Sequential:
-    """Return a perceptron of one hidden layer whose output begins as 0."""
-    last = silent(nn.Linear(hidden, outputs))  # made first: a seed gives the weights it always gave
+    """Return a perceptron with one hidden layer, whose output is initialised to 0."""
+    last = silent(nn.Linear(hidden, outputs))  # first: a seed gives the same weights as before
     return nn.Sequential(nn.Linear(inputs, hidden), activation(), last)

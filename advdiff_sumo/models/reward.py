@@ -1,4 +1,4 @@
-"""Reward model Q(s, a) with s = (h, z) and a = μ, target and background labelled apart (Sec. III-C)."""
+"""Reward model Q(s, a) with s = (h, z) and a = μ; target and background have different labels (Sec. III-C)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _LABELS = 3  # target, background vehicle, other
 
 @dataclass(frozen=True)
 class RewardState:
-    """What of Q does not depend on the action; computed once a plan.
+    """The part of Q that does not depend on the action; computed once a plan.
 
     Attributes:
         node: (B, A, R) embedded (h, z) and label.
-        edges: for each layer, what relative poses add to its messages.
-        present: (B, A) who is there.
-        target: (B,) row of the tested vehicle.
+        edges: for each layer, contributions of relative poses to its messages.
+        present: (B, A) which agents are present.
+        target: (B,) row of the target.
     """
 
     node: Tensor
@@ -40,10 +40,9 @@ class RewardState:
 
 
 class RewardModel(nn.Module):
-    """Deep Q-network over the agents of a scene; the action is every vehicle's latent.
+    """Deep Q-network over the agents of a scene; the action is the vehicles' latents.
 
-    The latent is the scaled one that the denoiser works on. The value is read from the target's node and the
-    mean of all.
+    The latents are scaled, as in the denoiser. The value is computed from the target's node and the mean of all nodes.
     """
 
     def __init__(self, options: ModelOptions) -> None:
@@ -57,7 +56,7 @@ class RewardModel(nn.Module):
         self.value = perceptron(2 * width, width, 1)
 
     def prepare(self, h: Tensor, z: Tensor, batch: SceneBatch, target: Tensor) -> RewardState:
-        """Return the part of *h* (B, A, D) and condition *z* (B, A, Z); *target* (B,) is the tested vehicle's row."""
+        """Return the part of Q of *h* (B, A, D) and condition *z* (B, A, Z); *target* (B,) are the targets' rows."""
         agents = torch.arange(batch.agents, device=h.device)
         label = torch.where(batch.moved, 1, 2)
         label = torch.where(agents == target[:, None], 0, label)
@@ -68,7 +67,7 @@ class RewardModel(nn.Module):
         return RewardState(node, self.interaction.prepare(relative), batch.present, target)
 
     def value_of(self, state: RewardState, mu: Tensor) -> Tensor:
-        """Return Q (B,) of actions *mu* (B, A, Z); what the target's row of it says is ignored."""
+        """Return Q (B,) of actions *mu* (B, A, Z); the target's row of *mu* is ignored."""
         rows = torch.arange(mu.shape[1], device=mu.device)
         free = (rows != state.target[:, None]) & state.present
         node = self.mix(state.node + self.action(mu) * free[..., None])
@@ -85,7 +84,7 @@ class RewardModel(nn.Module):
 
 
 def save_reward(reward: RewardModel, path: Path, extra: Mapping[str, Any] | None = None) -> None:
-    """Write Q's tensors alone to *path*, a ".safetensors" file; *extra* goes into its header as JSON."""
+    """Write Q's tensors to *path*, a ".safetensors" file; *extra* is added to its header as JSON."""
     write_stored(path, reward.state_dict(), {"format": FORMAT, "extra": dict(extra or {})})
 
 

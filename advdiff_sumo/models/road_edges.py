@@ -1,4 +1,4 @@
-"""Segments of the road's edge around vehicles, and how clear of them points are."""
+"""Segments of the road edge around vehicles, and signed distances of points from them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from advdiff_sumo.models.model_options import LANES_OF
 _ROAD_EDGE = 4
 _LEAST_M = 1e-3
 FAR_M = 1e3
-"""Clearance where there is no road edge."""
+"""Clearance if there is no road edge."""
 CORNER = 1e-3
-"""How much seeing a point from the side counts, where two segments are equally near."""
+"""Weight of the lateral distance where two segments are equally near, see :meth:`RoadEdges._nearest`."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class RoadEdges:
     """S segments in the frames of R vehicles.
 
     Attributes:
-        usable: (B, R, S) which count.
-        lines: (B, R, S, 7) unit direction and normal to its left, how far along both the beginning lies, and length.
-        along: (B, R, 3, S) what makes of points (…, x, y, 1) how far along the segments they lie.
-        left: (B, R, 3, S) the same of how far to their left.
+        usable: (B, R, S) which segments are real.
+        lines: (B, R, S, 7) unit direction, left normal, coordinates of the first point along both, and length.
+        along: (B, R, 3, S) matrix from points (x, y, 1) to their positions along the segments.
+        left: (B, R, 3, S) matrix from points (x, y, 1) to their distances left of the segments.
     """
 
     usable: Tensor
@@ -36,11 +36,11 @@ class RoadEdges:
 
     @staticmethod
     def between(first: Tensor, last: Tensor, usable: Tensor) -> RoadEdges:
-        """Return the segments from *first* to *last*, (B, R, S, 2) each, of which *usable* (B, R, S) count."""
+        """Return the segments from *first* to *last*, (B, R, S, 2) each, of which *usable* (B, R, S) are real."""
         along = last - first
         length = along.norm(dim=-1, keepdim=True)
         x, y = (along / length.clamp(min=_LEAST_M)).unbind(-1)
-        x = torch.where(length[..., 0] < _LEAST_M, 1.0, x)  # of a point, any direction
+        x = torch.where(length[..., 0] < _LEAST_M, 1.0, x)  # a segment of no length has any direction
         begin = torch.stack(
             (x * first[..., 0] + y * first[..., 1], x * first[..., 1] - y * first[..., 0]), -1
         )
@@ -56,13 +56,13 @@ class RoadEdges:
         return RoadEdges.between(*road_edges(batch))
 
     def expand(self, scenes: int) -> RoadEdges:
-        """Return the segments of the one scene for each of *scenes*."""
+        """Return the segments of one scene, repeated for *scenes* scenes."""
         return RoadEdges(*(part.expand(scenes, *part.shape[1:]) for part in vars(self).values()))
 
     def clearance(self, points: Tensor) -> Tensor:
-        """Return signed distances (B, R, M) of *points* (B, R, M, 2) to the nearest segment, positive to its left.
+        """Return signed distances (B, R, M) of *points* (B, R, M, 2) to the nearest segment, positive left of it.
 
-        ``FAR_M`` where there is none.
+        ``FAR_M`` without segments.
         """
         which, real = self._nearest(points)
         line = self.lines.gather(2, which[..., None].expand(*which.shape, self.lines.shape[-1]))
@@ -74,26 +74,26 @@ class RoadEdges:
 
     @torch.no_grad()
     def _nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return which segment is nearest to each point, and whether it counts, (B, R, M) each."""
+        """Return the index of the segment nearest to each point, and whether it is real, (B, R, M) each."""
         local = torch.cat((points, torch.ones_like(points[..., :1])), dim=-1)
         along, left = local @ self.along, local @ self.left  # (B, R, M, S)
         beyond = along.sub_(torch.minimum(along.clamp(min=0.0), self.lines[:, :, None, :, 6]))
         distance = left.square().addcmul_(beyond, beyond).sqrt_()
-        # both segments of a corner are equally near; the one that sees the point more from the side knows the side
+        # near a corner two segments are equally near; the one with the greater lateral distance has the right sign
         score = distance.sub_(left.abs_(), alpha=CORNER).masked_fill_(~self.usable[:, :, None], FAR_M)
         which = score.argmin(dim=-1)
         return which, self.usable.gather(2, which)
 
 
 def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
-    """Return begins and ends (B, A, S, 2) of road edges' segments in each agent's frame, and which count (B, A, S)."""
+    """Return ends (B, A, S, 2) of the road edges' segments in each agent's frame, and which are real (B, A, S)."""
     is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
     some: slice | Tensor
-    if is_edge.is_cuda:  # finding out what is empty would take longer than working on it
+    if is_edge.is_cuda:  # on a GPU, finding empty pieces takes longer than computing with them
         some = slice(LANES_OF[is_edge.shape[-1]], None)
     else:
         some = is_edge.flatten(0, 1).any(0)
-        some[0] |= ~some.any()  # one piece to look at, though it counts for nothing
+        some[0] |= ~some.any()  # keep at least one piece, although it is not usable
     pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
     first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
     usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)

@@ -1,4 +1,4 @@
-"""Where the shipped networks lie, and on which device they run."""
+"""Paths of the shipped networks, and the device they run on."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
     """Return the path of shipped networks.
 
     Args:
-        name: "traffic": the bundle of all traffic models; "closed-loop": the same with a decoder that closes the loop
-            and sees the map as far as is driven; SimNet, or traj2traj; "failures": what is
-            believed of any planner's failures in lawful encounters.
+        name: "traffic": all networks of the paper's architecture; "closed-loop": the same with the closed-loop decoder
+            and the far map view; "simnet"; "traj2traj"; "failures": the prior of
+            ``models.failure_predictor``.
     """
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
 
 
 def find_weights(given: str, default: ShippedName = "traffic") -> Path:
-    """Return the file that is *given*: itself, a training's folder, a shipped one by name, or by "" the *default*."""
+    """Return the weights file *given* as a path, a training's folder or a shipped name; "": the *default*."""
     path = Path(given)
     if given and (path / WEIGHTS).is_file():
         return path / WEIGHTS
@@ -38,12 +38,12 @@ def find_weights(given: str, default: ShippedName = "traffic") -> Path:
 
 
 def device_of(name: str, whose: str) -> torch.device:
-    """Return the device that a user's *name* stands for; "auto" is a GPU where there is one.
+    """Return the device that a user named; "auto" is a GPU if there is one.
 
     Raises:
-        ConfigError: PyTorch has no such device here; it says *whose* option it is.
+        ConfigError: PyTorch cannot use such a device; the message names *whose* option it is.
     """
-    import torch  # late: who asks where a file lies does not need it
+    import torch  # late: finding a file does not need it
 
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

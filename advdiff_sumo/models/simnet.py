@@ -1,9 +1,9 @@
-"""SimNet: every vehicle's next action from what it sees now, one step at a time.
+"""SimNet: predicts every vehicle's next action from the present scene, one step at a time.
 
 After Bergamini et al. 2021, "SimNet: Learning reactive self-driving simulations from real-world observations"
-(doi:10.1109/ICRA48506.2021.9561666). Theirs sees a raster around each agent; this one sees through the context
-encoder of the traffic model, so that the two differ in what they learn and not in what they look at. There is no
-latent and nothing is drawn: the same scene gives the same future.
+(doi:10.1109/ICRA48506.2021.9561666). Theirs encodes a raster around each agent; this one uses the context encoder of
+the traffic model, so that both have the same input and differ in what they learn. It is deterministic: it has no
+latent, and the same scene gives the same future.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MOTION = 2
 
 
 class SimNet(nn.Module):
-    """Context encoder and a head that gives each vehicle an acceleration and a curvature for half a second.
+    """Context encoder and a head that predicts each vehicle's acceleration and curvature for half a second.
 
     Attributes:
         options: sizes of the networks and the limits of the actions.
@@ -48,7 +48,7 @@ class SimNet(nn.Module):
         self.head = perceptron(width + _MOTION, width, width, 2)
 
     def act(self, batch: SceneBatch) -> tuple[Tensor, Tensor]:
-        """Return acceleration in m/s² and curvature in 1/m, (B, A) each, for the next half second; 0 for walkers."""
+        """Return accelerations (m/s²) and curvatures (1/m), (B, A), for the next half second; 0 for pedestrians."""
         speed, length = batch.pose[..., 3].clamp(min=0.0), batch.size[..., 0]
         motion = torch.stack((0.1 * speed, 0.1 * length), dim=-1)
         raw = self.head(torch.cat((self.encoder(batch).h, motion), dim=-1))
@@ -56,10 +56,10 @@ class SimNet(nn.Module):
         return accel * batch.moved, curvature * batch.moved
 
     def forward(self, batch: SceneBatch, steps: int = FUTURE_STEPS, forced: Forced | None = None) -> Rollout:
-        """Return the joint future: act, drive half a second, look again, and so on, *steps* times.
+        """Return the joint future of *steps* instants: predict actions, move half a second, encode again, and so on.
 
-        The map pieces stay those around the present positions; signals keep their state. Agents that are *forced*, such
-        as a target, do what is given; the others see it.
+        The map pieces stay those around the present positions; signals keep their state. *Forced* agents, such as a
+        target, follow their given states, which the others observe.
         """
         states: list[State] = []
         for k in range(steps):
@@ -79,7 +79,7 @@ def new_simnet(options: ModelOptions, seed: int = 0) -> SimNet:
 
 
 def save_simnet(simnet: SimNet, path: Path, extra: Mapping[str, Any] | None = None) -> None:
-    """Write *simnet* to *path*, a ".safetensors" file; *extra* goes into its header as JSON."""
+    """Write *simnet* to *path*, a ".safetensors" file; *extra* is added to its header as JSON."""
     options = simnet.options.model_dump(mode="json")
     write_stored(
         path, simnet.state_dict(), {"format": FORMAT, "options": options, "extra": dict(extra or {})}
@@ -100,11 +100,11 @@ def load_simnet(path: Path) -> SimNet:
 
 
 def begin_simnet(init: Path | None, options: ModelOptions, seed: int = 0) -> SimNet:
-    """Return the network that a training begins with.
+    """Return the initial network of a training.
 
     Args:
-        init: a file of :func:`save_simnet`, or a traffic bundle, of which the context encoder is taken; None: all new.
-        options: sizes where there is no *init*.
+        init: a file of :func:`save_simnet`, or a traffic bundle, whose context encoder is used; None: new weights.
+        options: sizes if there is no *init*.
         seed: of new weights.
 
     Raises:

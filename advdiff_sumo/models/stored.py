@@ -1,4 +1,4 @@
-"""Tensors or arrays with a JSON header in one safetensors file; no pickle is ever loaded."""
+"""Reads and writes tensors or arrays with a JSON header in one safetensors file; nothing is unpickled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.weights_formats import of_another_format
 from advdiff_sumo.core.whole_file import whole_file
 
-if TYPE_CHECKING:  # who stores arrays alone need not wait for PyTorch
+if TYPE_CHECKING:  # arrays can be stored without importing PyTorch
     from torch import Tensor, nn
 
 _HEADER = "advdiff"
@@ -25,13 +25,13 @@ _HEADER = "advdiff"
 def write_stored(
     path: Path, values: Mapping[str, Tensor] | Mapping[str, NDArray[np.float64]], header: Mapping[str, Any]
 ) -> None:
-    """Write *path*; the same contents give the same bytes."""
+    """Write *values* and *header* to *path*; the same contents give the same bytes."""
     arrays = {
         name: np.asarray(value if isinstance(value, np.ndarray) else value.detach().cpu().numpy(), order="C")
         for name, value in values.items()
     }
     with whole_file(path) as aside:
-        # one key alone: safetensors writes several in an order that changes from run to run
+        # a single key: safetensors writes several keys in an order that varies from run to run
         save_file(arrays, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
 
 
@@ -43,9 +43,9 @@ def read_stored(
     Args:
         path: of the file.
         kind: the "format" that the header must name.
-        missing: what to do where there is no such file.
-        remedy: what to do where it cannot be used.
-        framework: "np": NumPy arrays in place of tensors, without PyTorch.
+        missing: remedy if there is no such file.
+        remedy: remedy if it cannot be used.
+        framework: "pt": tensors; "np": NumPy arrays, without importing PyTorch.
 
     Raises:
         WeightsError: no such file, damaged, or of another format.
@@ -66,7 +66,7 @@ def read_stored(
 def fill(
     network: nn.Module, tensors: Mapping[str, Tensor], path: Path, what: str, remedy: str = "train it again"
 ) -> None:
-    """Give *network* the *tensors* of *path*.
+    """Load the *tensors* of *path* into *network*.
 
     Raises:
         WeightsError: they do not fit *what*.
@@ -91,12 +91,12 @@ def stored_options(header: Mapping[str, Any], path: Path, remedy: str) -> dict[s
 
 
 def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """Return those of *tensors* whose names begin with *prefix*, by what follows it."""
+    """Return the *tensors* whose names begin with *prefix*, named without it."""
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def stored_format(path: Path) -> str:
-    """Return the "format" that the file at *path* names; "" where there is no such file, or it names none."""
+    """Return the "format" in the header of *path*; "" if there is no such file or format."""
     try:
         with safe_open(str(path), framework="np") as file:
             return str(_header(file.metadata() or {}).get("format", ""))
@@ -105,7 +105,7 @@ def stored_format(path: Path) -> str:
 
 
 def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Return the JSON object in *metadata*; {} where it is damaged or another program's."""
+    """Return the JSON object in *metadata*; {} if it is damaged or written by another program."""
     try:
         header = json.loads(metadata.get(_HEADER, "{}"))
     except ValueError:

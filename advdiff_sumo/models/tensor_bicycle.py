@@ -1,4 +1,4 @@
-"""The bicycle model of ``core.bicycle`` on tensors, with gradients (Sec. III-B, "simplistic bicycle model")."""
+"""The bicycle model of ``core.bicycle`` on tensors, differentiable (Sec. III-B, "simplistic bicycle model")."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from advdiff_sumo.models.model_options import ModelOptions
 def step(
     xy: Tensor, yaw: Tensor, speed: Tensor, accel: Tensor, curvature: Tensor, dt_s: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return pose and speed after *dt_s* along an exact arc; a vehicle stops at zero speed.
+    """Return pose and speed after *dt_s* along an exact arc; braking ends at zero speed.
 
-    All tensors are (…,) but *xy*, which is (…, 2).
+    *xy* is (…, 2), all other tensors are (…,).
     """
     stop_s = torch.where(accel < 0.0, speed / (-accel).clamp(min=1e-6), math.inf)
     moving_s = stop_s.clamp(max=dt_s)
@@ -29,9 +29,9 @@ def step(
 
 
 def controls(raw: Tensor, speed: Tensor, length: Tensor, options: ModelOptions) -> tuple[Tensor, Tensor]:
-    """Return acceleration and curvature (…,) of unbounded numbers *raw* (…, 2), within the limits by construction.
+    """Return acceleration and curvature (…,) within the limits, from unbounded network outputs *raw* (…, 2).
 
-    Curvature is bounded by the largest steering angle and, at speed, by the lateral acceleration.
+    Curvature is bounded by the largest steering angle and by the lateral acceleration.
     """
     push, turn = raw[..., 0], raw[..., 1]
     up, down = options.accel_mps2, options.brake_mps2

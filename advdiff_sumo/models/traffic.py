@@ -17,7 +17,7 @@ from advdiff_sumo.models.perceptron import perceptron
 
 
 class Posterior(nn.Module):
-    """q(z | τ, h), what latent leads to the future that happened: the encoder's structure over past and future."""
+    """q(z | τ, h), the latent given the recorded future τ: the encoder's structure over past and future."""
 
     def __init__(self, options: ModelOptions) -> None:
         super().__init__()
@@ -38,10 +38,10 @@ class Posterior(nn.Module):
 
 
 class TrafficModel(nn.Module):
-    """Three networks that share one set of options.
+    """Encoder, posterior and decoder with the same options.
 
     Attributes:
-        options: their sizes.
+        options: sizes of the networks.
         encoder: (map, past) → h and prior of z.
         posterior: (future, h) → q(z | τ, h).
         decoder: (z, h) → joint futures.

@@ -1,4 +1,4 @@
-"""What the networks see of a scene: the road users near the target, in their order, as one batch."""
+"""The networks' view of a scene: the road users near the target, ordered by distance, as one batch."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from advdiff_sumo.models.collate import scene_batch
 from advdiff_sumo.models.model_options import HISTORY_STEPS, MODEL_STEP_S
 
 if TYPE_CHECKING:
-    from advdiff_sumo.maps import RoadMap  # reads nets with SUMO's library, which training does without
+    from advdiff_sumo.maps import RoadMap  # needs SUMO's library, which training does not
 
 MOST_AGENTS = 32
-"""Road users that the networks see at once, unless more of them are to be moved."""
+"""Most road users in a view, unless more of them get a plan."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A scene for the networks; A agents, the target first.
+    """A scene as the networks see it; A agents, the target first.
 
     Attributes:
         scene: the whole scene.
-        rows: (A,) rows of the scene.
-        moved: (A,) who gets a plan.
-        batch: the agents as a batch of one.
-        now: their histories.
+        rows: (A,) the agents' rows in the scene.
+        moved: (A,) which agents get a plan.
+        batch: the agents as a batch of one scene.
+        now: histories of the agents.
     """
 
     scene: Scene
@@ -53,17 +53,17 @@ def look(
     most: int = MOST_AGENTS,
     map_view: MapView = "near",
 ) -> View:
-    """Return what the networks see of *scene*.
+    """Return the networks' view of *scene*.
 
     Args:
         road: the map.
-        scene: an instant, with a history at the model's step.
-        left_out: (agents,) movable vehicles that get no plan although they are seen.
-        most: road users that are seen, unless more of them get a plan.
-        map_view: how much of the map they see.
+        scene: with a history at the model's time step.
+        left_out: (agents,) movable vehicles that get no plan, although they are in the view.
+        most: number of road users in the view, unless more of them get a plan.
+        map_view: how much of the map each agent sees.
 
     Raises:
-        SceneError: the history has another spacing.
+        SceneError: the history has another time step.
     """
     if abs(scene.history.dt_s - MODEL_STEP_S) >= 1e-9:
         raise SceneError(
@@ -76,7 +76,7 @@ def look(
         moved &= ~left_out
     rows = _nearest(scene, moved, most)
     history = scene.history.rows(rows)
-    lacking = HISTORY_STEPS - history.steps  # what is missing before is marked as unknown
+    lacking = HISTORY_STEPS - history.steps  # earlier instants are marked as unknown
     history = history.padded(lacking) if lacking > 0 else history.window(-lacking, history.steps)
     table = road.pieces(map_view)
     near = table.rows_near(history.xy_m[:, -1], history.yaw_rad[:, -1], history.speed_mps[:, -1])
@@ -88,7 +88,7 @@ def look(
 
 
 def _nearest(scene: Scene, moved: BoolArray, most: int) -> IntArray:
-    """Return the target, the moved and then the nearest others, at most *most*; by distance."""
+    """Return rows of the target, all *moved* and the nearest others, *most* in all, ordered by distance."""
     now = scene.history.xy_m[:, -1]
     gap = np.where(scene.history.valid[:, -1], np.hypot(*(now - now[scene.target]).T), np.inf)
     gap[scene.target] = -1.0

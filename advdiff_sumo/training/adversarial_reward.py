@@ -1,4 +1,4 @@
-"""Rewards of Q: R = R_adv − P_coll over a stretch of executed steps (Sec. III-C)."""
+"""Rewards of Q: R = R_adv − P_coll over stretches of executed steps (Sec. III-C)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from advdiff_sumo.models.losses import discs, off_road, pair_overlap
 from advdiff_sumo.training.presets import RewardOptions
 
 _BETWEEN = 4
-"""Instants a model step at which collisions are looked for: at 0.5 s fast cars would pass through each other."""
+"""Instants a model step at which collisions are tested; at 0.5 s, fast cars could pass through each other."""
 
 
 @dataclass(frozen=True)
 class Payoff:
-    """What a stretch of the executed plan was worth.
+    """Reward of one stretch of an executed plan.
 
     Attributes:
         reward: (B,) R_adv − P_coll; R_adv is 1 on contact.
@@ -33,14 +33,14 @@ class Payoff:
 def payoffs(
     path: Rollout, batch: SceneBatch, target: Tensor, options: RewardOptions, stretches: int
 ) -> list[Payoff]:
-    """Return the payoff of each of the first stretches of ``options.execute`` steps.
+    """Return the payoffs of the first *stretches*, each of ``options.execute`` steps.
 
     Args:
-        path: executed or planned states (B, A, T), T at least stretches × execute; the target's are its own.
-        batch: the scenes before.
-        target: (B,) row of the tested vehicle.
+        path: executed or planned states (B, A, T), T at least stretches × execute; the target's are executed ones.
+        batch: the scenes at the beginning.
+        target: (B,) row of the target.
         options: reach and weights.
-        stretches: how many.
+        stretches: their number.
     """
     steps = options.execute * stretches
     cut = first_steps(path, steps)
@@ -59,7 +59,7 @@ def first_steps(path: Rollout, steps: int) -> Rollout:
 
 
 def finer(path: Rollout, batch: SceneBatch) -> Rollout:
-    """Return *path* with positions and headings at four instants a step, straight between its own."""
+    """Return *path* with positions and headings interpolated linearly to four instants a step."""
     now = batch.pose[:, :, None]
     share = torch.arange(1, _BETWEEN + 1, device=path.xy.device, dtype=path.xy.dtype) / _BETWEEN
 
@@ -74,9 +74,9 @@ def finer(path: Rollout, batch: SceneBatch) -> Rollout:
 
 
 def target_gap(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
-    """Return the gap (B, A, T) in metres of each background vehicle's discs to the target's; below 0: contact.
+    """Return gaps (B, A, T) in metres between the discs of each background vehicle and the target; below 0: contact.
 
-    Large for the target itself, for who is not there, is no vehicle, or is parked.
+    Large for the target itself, absent agents, pedestrians and parked vehicles.
     """
     steps = path.xy.shape[2]
     centres, radius = discs(path.xy, path.yaw, batch.size[:, :, None].expand(-1, -1, steps, -1))
@@ -88,13 +88,13 @@ def target_gap(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
 
 
 def background(batch: SceneBatch, target: Tensor) -> Tensor:
-    """Return (B, A) the vehicles that can attack: there, not parked, not the target."""
+    """Return (B, A) the vehicles that can attack: present, not parked, not the target."""
     agents = torch.arange(batch.agents, device=target.device)
     return batch.moved & batch.present & ~batch.parked & (agents != target[:, None])
 
 
 def among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
-    """Return (B, T) overlap summed over pairs without the target; pairs that overlap before it begins are left out."""
+    """Return (B, T) overlap summed over pairs without the target; pairs that overlap at the beginning are left out."""
     agents = torch.arange(batch.agents, device=target.device)
     others = batch.present & (agents != target[:, None])
     moving = background(batch, target)
@@ -107,7 +107,7 @@ def among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor
 
 
 def over_edge(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:
-    """Return (B, T) overlap with the road's edge, beyond that before it begins, summed over background vehicles."""
+    """Return (B, T) overlap with the road edge in excess of that at the beginning, summed over background vehicles."""
     over = off_road(path, batch) - off_road(standing(batch), batch)
     return torch.where(background(batch, target)[..., None], over.clamp(min=0.0), 0.0).sum(1)
 

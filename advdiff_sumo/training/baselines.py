@@ -1,4 +1,4 @@
-"""Predictions without learning, in the same table as the models: constant velocity, and along the lane."""
+"""Baseline predictions without learning: constant velocity, and lane following."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _ALIGNED_COS = 0.5
 
 
 def constant_velocity(batch: SceneBatch) -> Rollout:
-    """Return every agent straight ahead at its present speed."""
+    """Return futures in which every agent goes straight ahead at its present speed."""
     way = _way(batch)
     local = torch.stack((way, torch.zeros_like(way)), dim=-1)
     return _in_scene(local, torch.zeros_like(way), batch)
 
 
 def lane_following(batch: SceneBatch) -> Rollout:
-    """Return every vehicle at its present speed along its lane, as far beside the middle as now.
+    """Return futures in which every vehicle follows its lane at its present speed and lateral offset.
 
-    Its lane is the nearest lane piece within 3 m that points its way; it goes on with the piece that begins
-    where that ends, at a fork with the one that turns least, and straight on behind the last piece known. Who
-    has no lane keeps its velocity.
+    Its lane is the nearest lane piece within 3 m in its direction. The lane continues with the piece that begins where
+    it ends, at a fork with the one that turns least, and straight beyond the last known piece. A vehicle without a
+    lane keeps its velocity.
     """
     way = _way(batch)
     out_xy = torch.stack((way, torch.zeros_like(way)), dim=-1)
@@ -50,14 +50,14 @@ def lane_following(batch: SceneBatch) -> Rollout:
 
 
 def lane_ahead(pieces: Floats, length_m: float) -> Floats | None:
-    """Return the middle of the lane (P, 2) that a vehicle at the origin, looking along x, is on.
+    """Return the centre line (P, 2) of the lane of a vehicle at the origin with heading x.
 
     Args:
-        pieces: (K, N, 2) lane pieces in its frame.
-        length_m: how far it must reach beyond the vehicle, where the pieces go so far.
+        pieces: (K, N, 2) lane pieces in the vehicle's frame.
+        length_m: length ahead of the vehicle to cover, if there are enough pieces.
 
     Returns:
-        Points from the piece under the vehicle on, or None where it is on none.
+        Points from the beginning of the vehicle's piece on; None if it is on no lane.
     """
     if not len(pieces):
         return None
@@ -82,7 +82,7 @@ def lane_ahead(pieces: Floats, length_m: float) -> Floats | None:
 
 
 def _next(pieces: Floats, current: int, visited: set[int]) -> int | None:
-    """Return the piece that begins where *current* ends and turns least against it."""
+    """Return the piece that begins where *current* ends and turns least; None if there is none."""
     end = pieces[current][-1]
     near = np.linalg.norm(pieces[:, 0] - end, axis=1) < _JOIN_M
     near[list(visited)] = False
@@ -95,7 +95,7 @@ def _next(pieces: Floats, current: int, visited: set[int]) -> int | None:
 
 
 def _along(path: Floats, way: Floats) -> tuple[Floats, Floats]:
-    """Return positions (T, 2) and headings (T,) after *way* metres, as far beside *path* as the origin is."""
+    """Return positions (T, 2) and headings (T,) after *way* metres along *path*, at the origin's lateral offset."""
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     keep = lengths > 1e-6
@@ -111,7 +111,7 @@ def _along(path: Floats, way: Floats) -> tuple[Floats, Floats]:
 
 
 def _project(line: Floats) -> tuple[float, float, float]:
-    """Return distance, position along and signed distance to the left of the origin against *line* (P, 2)."""
+    """Return distance, arc length and lateral offset (left positive) of the origin relative to *line* (P, 2)."""
     start, step = line[:-1], np.diff(line, axis=0)
     length = np.linalg.norm(step, axis=1)
     unit = step / np.maximum(length, 1e-9)[:, None]
@@ -132,7 +132,7 @@ def _unit(vector: Floats) -> Floats:
 
 
 def _way(batch: SceneBatch) -> Tensor:
-    """Return how far (B, A, T) each agent gets at its present speed."""
+    """Return the distances (B, A, T) that agents drive at their present speeds."""
     steps = torch.arange(1, batch.future.shape[2] + 1, device=batch.past.device, dtype=batch.past.dtype)
     return batch.pose[..., 3, None].clamp(min=0.0) * steps * MODEL_STEP_S
 

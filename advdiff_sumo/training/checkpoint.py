@@ -1,4 +1,4 @@
-"""One file with everything that a training needs to go on: tensors, and JSON in the header. No pickle."""
+"""Checkpoints of a training: one safetensors file with tensors, and JSON in its header."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _HEADER = "advdiff"
 
 @dataclass
 class TrainingProgress:
-    """Where a training stands.
+    """Progress of a training.
 
     Attributes:
-        stage: its name.
-        options: every hyper-parameter, as plain values.
-        data: hash of the training data and of the weights it began with.
-        seed: of its random numbers; None in checkpoints of earlier versions.
-        epoch: epochs finished.
-        batch: batches finished of the epoch that runs.
-        step: steps of the optimiser done.
-        sums: running sums of the loss terms over the epoch that runs, with their weights.
-        best: best figure of the monitor so far.
-        best_epoch: the epoch it was reached in.
+        stage: name of the stage.
+        options: all hyper-parameters, as plain values.
+        data: hash of the training data and of the initial weights.
+        seed: of the random numbers; None in checkpoints of earlier versions.
+        epoch: finished epochs.
+        batch: finished batches of the current epoch.
+        step: finished steps of the optimiser.
+        sums: sums of the loss terms over the current epoch, with their weights.
+        best: best value of the monitored figure so far.
+        best_epoch: epoch in which it was reached.
         history: one record for each finished epoch.
-        done: the training has ended (all epochs, or stopped early).
+        done: whether the training has ended (all epochs, or stopped early).
     """
 
     stage: str
@@ -55,7 +55,7 @@ class TrainingProgress:
 
 
 def save(folder: Path, progress: TrainingProgress, groups: Mapping[str, Mapping[str, Tensor]]) -> None:
-    """Write the checkpoint aside and rename it, so that a kill leaves the old or the new one whole.
+    """Write the checkpoint atomically: if the process is killed, the old or the new one is complete.
 
     Raises:
         WeightsError: the folder cannot be written.
@@ -68,7 +68,7 @@ def save(folder: Path, progress: TrainingProgress, groups: Mapping[str, Mapping[
     header = {"format": FORMAT, "progress": vars(progress)}
     try:
         with whole_file(folder / NAME) as aside:
-            # one key alone: safetensors writes several in an order that changes from run to run
+            # a single key: safetensors writes several keys in an order that varies from run to run
             save_file(tensors, aside, metadata={_HEADER: json.dumps(header, sort_keys=True)})
     except (OSError, SafetensorError) as error:
         raise WeightsError(folder / NAME, f"cannot be written ({error})") from None
@@ -78,7 +78,7 @@ def load(folder: Path) -> tuple[TrainingProgress, dict[str, dict[str, Tensor]]]:
     """Read a checkpoint.
 
     Returns:
-        Where the training stood, and its tensors by group and name, on the CPU.
+        The progress of the training, and its tensors by group and name, on the CPU.
 
     Raises:
         WeightsError: there is none, or it is damaged or of another format.
@@ -100,19 +100,19 @@ def load(folder: Path) -> tuple[TrainingProgress, dict[str, dict[str, Tensor]]]:
         raise WeightsError(path, f"cannot be read ({error})", "start the training afresh") from None
     progress.sums = {name: (value, weight) for name, (value, weight) in progress.sums.items()}
     elbo = progress.options.get("elbo", {})
-    if elbo.get("prior_weight") == 0.0:  # an option of earlier versions, which did nothing at 0
+    if elbo.get("prior_weight") == 0.0:  # an option of earlier versions, without effect at 0
         del elbo["prior_weight"]
     return progress, groups
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """Return the optimiser's moments, named "parameter number.moment"."""
+    """Return the state tensors of the optimiser, named "parameter number.moment"."""
     state: dict[int, dict[str, Tensor]] = optimiser.state_dict()["state"]
     return {f"{number}.{name}": value for number, moments in state.items() for name, value in moments.items()}
 
 
 def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Give an optimiser the moments that :func:`optimiser_tensors` returned."""
+    """Restore the state of an optimiser from :func:`optimiser_tensors`."""
     state: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         number, _, name = key.partition(".")

@@ -24,12 +24,12 @@ _KL_START = 0.01
 
 @dataclass(frozen=True)
 class Encoded:
-    """What the traffic model makes of windows whose future is known.
+    """Outputs of the traffic model for windows with known future.
 
     Attributes:
         context: h and prior.
         posterior: q(z | τ, h).
-        rollout: what a draw from it leads to.
+        rollout: decoded sample of the posterior.
     """
 
     context: Context
@@ -42,9 +42,9 @@ class TrafficStage(BundleStage):
 
     Args:
         bundle: its traffic model is trained in place.
-        options: weights of the terms.
-        sampled: weights of what is wrong with draws of the prior.
-        compiled: fuse the terms.
+        options: weights of the loss terms.
+        sampled: weights of the penalties of samples of the prior.
+        compiled: whether to compile these penalties.
     """
 
     name = "traffic"
@@ -66,7 +66,7 @@ class TrafficStage(BundleStage):
         return self._terms(batch, kl_share(moment.progress, self.options), moment.generator)[0]
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Return the loss at the full weight of KL, and displacements from posterior and prior."""
+        """Return the loss at the full weight of KL, and displacement errors of posterior and prior."""
         model = self.bundle.traffic
         terms, encoded, free = self._terms(batch, 1.0, generator)
         tally = {name: (float(value) * batch.scenes, float(batch.scenes)) for name, value in terms.items()}
@@ -81,9 +81,9 @@ class TrafficStage(BundleStage):
     def _terms(
         self, batch: SceneBatch, share: float, generator: torch.Generator
     ) -> tuple[dict[str, Tensor], Encoded, Rollout | None]:
-        """Return the negative ELBO, what it is of, and the futures of a draw of the prior where that teaches, too.
+        """Return the loss terms, the outputs they are of, and decoded samples of the prior, if these are penalised.
 
-        It teaches the decoder alone.
+        The penalties train the decoder only.
         """
         model, options = self.bundle.traffic, self.options
         if options.samples == 0.0:
@@ -102,7 +102,7 @@ class TrafficStage(BundleStage):
 
 
 def encode(model: TrafficModel, batch: SceneBatch, generator: torch.Generator) -> Encoded:
-    """Return context, posterior, a draw of it and what it leads to."""
+    """Return context, posterior and a decoded sample of the posterior."""
     context = model.encoder(batch)
     posterior = model.posterior(batch, context.h)
     z = posterior.sample(generator)
@@ -116,7 +116,7 @@ def elbo(encoded: Encoded, batch: SceneBatch, options: ElboOptions, kl_share: fl
         encoded: of :func:`encode`.
         batch: the windows.
         options: weights.
-        kl_share: share of the KL's weight that counts by now.
+        kl_share: annealing factor of the KL's weight.
     """
     error = known_mean(reconstruction(encoded.rollout, batch), batch)
     divergence = encoded.posterior.kl(encoded.context.prior)  # (B, A, Z)
@@ -128,14 +128,14 @@ def elbo(encoded: Encoded, batch: SceneBatch, options: ElboOptions, kl_share: fl
 
 
 def kl_share(progress: float, options: ElboOptions) -> float:
-    """Return the share of the KL's weight at *progress* of the training: from a hundredth straight up to 1."""
+    """Return the annealing factor of the KL's weight at *progress* of the training: linear from 0.01 to 1."""
     if progress >= options.kl_anneal_share:
         return 1.0
     return _KL_START + (1.0 - _KL_START) * progress / options.kl_anneal_share
 
 
 def modelled(batch: SceneBatch) -> Tensor:
-    """Return (B, A) vehicles of whose future something is known."""
+    """Return (B, A) vehicles with at least one known future instant."""
     return batch.moved & batch.future_valid.any(-1)
 
 

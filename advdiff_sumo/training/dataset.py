@@ -1,4 +1,4 @@
-"""Window files as one data set: which windows are held out, and in what order the others are seen."""
+"""Window files as one data set: held-out windows, and the order of the training windows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class WindowSet:
         file: (n,) which file.
         row: (n,) which window of it.
         agents: (n,) number of agents.
-        digest: sha256 over the files' contents, whatever their names and order.
+        digest: sha256 of the files' contents, independent of their names and order.
     """
 
     files: tuple[WindowFile, ...]
@@ -52,15 +52,15 @@ class WindowSet:
 
     @property
     def driven(self) -> NDArray[np.bool_]:
-        """(n,) in which windows a model drove up to now."""
+        """(n,) in which windows the past was driven by a model."""
         of_file = np.array([DRIVEN in file.extra for file in self.files], dtype=np.bool_)
         return of_file[self.file]
 
     def must_show(self, view: MapView, which: str = "the windows") -> None:
-        """Refuse windows that networks of this *view* of the map cannot read; *which* they are begins the sentence.
+        """Refuse windows of another *view* of the map than that of the networks.
 
         Raises:
-            ConfigError: they show the other one.
+            ConfigError: the views differ; the sentence begins with *which*.
         """
         if self.map_view != view:
             raise ConfigError(
@@ -79,8 +79,8 @@ class WindowSet:
 
         Args:
             numbers: which windows.
-            rng: source of the noise in the poses.
-            jitter: how strong it is; None: none.
+            rng: random numbers of the augmentation.
+            jitter: augmentation; None: none.
         """
         parts, order = [], []
         for index in np.unique(self.file[numbers]):
@@ -97,7 +97,7 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
         paths: files, and folders of such files.
 
     Raises:
-        FileError: one is missing or no window file, or there is no window at all.
+        FileError: one is missing or no window file, or no file holds a window.
     """
     sources = sorted(set(window_paths(list(paths))))
     files = tuple(read_windows(path) for path in sources)
@@ -123,14 +123,14 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
 
 
 def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, WindowSet]:
-    """Part the windows by drives, so that no drive is on both sides.
+    """Split the windows by drives, so that no drive is in both parts.
 
-    A drive's side follows from its name, the file's source and map, and *seed*: more files move none of the others.
+    A drive's part depends only on its name, the file's source and map, and *seed*: further files do not change it.
 
     Args:
-        windows: all of them.
-        share: about what share of the drives is held out.
-        seed: which ones.
+        windows: all windows.
+        share: approximate share of the drives that is held out.
+        seed: of the choice.
 
     Returns:
         The windows to train on, and those held out.
@@ -152,18 +152,18 @@ def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, Windo
 
 
 def of_epoch(windows: WindowSet, count: int, driven_share: float, rng: np.random.Generator) -> IntArray:
-    """Return the numbers of the windows that an epoch looks at.
+    """Return the numbers of the windows of one epoch.
 
-    Each is taken as often as any other of its kind, give or take one.
+    All windows of a kind are drawn equally often, up to one.
 
     Args:
-        windows: all there are.
-        count: how many; 0: as many as there are.
-        driven_share: share of them in which a model drove up to now; 0: as they come.
-        rng: draws them.
+        windows: all windows.
+        count: windows of an epoch; 0: as many as there are.
+        driven_share: share of windows whose past was driven by a model; 0: as in *windows*.
+        rng: random numbers of the draw.
 
     Raises:
-        ConfigError: a share is asked for, and there are none of one of the kinds.
+        ConfigError: *driven_share* is not 0, and there are no windows of one kind.
     """
     count = count or len(windows)
     if not driven_share:
@@ -180,7 +180,7 @@ def of_epoch(windows: WindowSet, count: int, driven_share: float, rng: np.random
 
 
 def _spread(numbers: IntArray, count: int, rng: np.random.Generator) -> IntArray:
-    """Return *count* of *numbers*, each as often as any other, give or take one."""
+    """Return *count* of *numbers*, each equally often, up to one."""
     if count == len(numbers):
         return numbers
     whole = np.tile(numbers, count // max(len(numbers), 1))
@@ -188,12 +188,12 @@ def _spread(numbers: IntArray, count: int, rng: np.random.Generator) -> IntArray
 
 
 def batches(windows: WindowSet, size: int, rng: np.random.Generator | None = None) -> list[IntArray]:
-    """Return the windows' numbers, cut into batches of scenes with about as many agents.
+    """Return the windows' numbers in batches of scenes with similar numbers of agents.
 
     Args:
-        windows: what is batched.
+        windows: the windows.
         size: windows in a batch; the last one may have fewer.
-        rng: shuffles windows and batches; None: by number of agents, always alike.
+        rng: shuffles windows and batches; None: fixed order by number of agents.
     """
     spread = rng.uniform(0.0, 4.0, len(windows)) if rng is not None else np.zeros(len(windows))
     order = np.argsort(windows.agents + spread, kind="stable")
@@ -209,7 +209,7 @@ def join(parts: Sequence[SceneBatch]) -> SceneBatch:
 
 
 def nearest(batch: SceneBatch, agents: int) -> SceneBatch:
-    """Return the scenes with their first *agents* agents, which are those nearest to the focal one."""
+    """Return the scenes with only their first *agents* agents, those nearest to the focal one."""
     if batch.agents <= agents:
         return batch
     return batch.rows_of(slice(agents))

@@ -1,9 +1,9 @@
-"""Stage "decoder": the closed-loop decoder alone, between encoder and denoiser that stay as they are.
+"""Stage "decoder": trains only the closed-loop decoder, between a fixed encoder and denoiser.
 
-It learns on two kinds of latents at once. Those of the posterior shall lead to what happened. Those that the denoiser
-draws shall lead to futures that fit together: the penalties of ``diffusion.sample_refinement`` teach the network
-instead of moving a finished sample. Standing still would be the cheapest way out; an anchor to the decoder begun with
-and the way driven in the log hold against it.
+It learns from two kinds of latents at once. Latents of the posterior shall be decoded to the recorded future. Samples
+of the denoiser shall be decoded to futures without overlap: the penalties of ``diffusion.sample_refinement`` train
+the network instead of moving a finished sample. Two terms keep vehicles from standing still, which would minimise
+these penalties: an anchor to the initial decoder's futures, and the distances driven in the log.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class DecoderStage(BundleStage):
 
     Args:
         bundle: its decoder is trained in place.
-        began: the decoder whose futures are the anchor; left as it is.
-        options: weights of the terms.
-        compiled: fuse the terms.
+        began: the initial decoder, whose futures are the anchor; not changed.
+        options: weights of the loss terms.
+        compiled: whether to compile the penalties.
     """
 
     name = "decoder"
@@ -65,7 +65,7 @@ class DecoderStage(BundleStage):
 
     @torch.no_grad()
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Return the loss, displacements of posterior and sample, and how often samples collide or leave the road."""
+        """Return the loss, displacement errors of posterior and sample, and the sample's collisions and departures."""
         context, latents, before = self._latents(batch, generator)
         known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
@@ -80,7 +80,7 @@ class DecoderStage(BundleStage):
     def _latents(
         self, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[Context, tuple[Tensor, Tensor], Rollout]:
-        """Return the context, latents (B, A, Z) of posterior and denoiser, and what those led to at the beginning."""
+        """Return context, latents (B, A, Z) of posterior and denoiser, and the initial decoder's futures of the latter."""
         traffic, codec = self.bundle.traffic, self.bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)

@@ -30,11 +30,11 @@ _PLANS_BEGIN = (
 
 
 class DenoiserStage(BundleStage):
-    """Trains the denoiser alone.
+    """Trains the denoiser only.
 
     Args:
         bundle: its denoiser is trained in place, the rest is frozen.
-        options: what counts for how much.
+        options: weights of the loss.
     """
 
     name = "denoiser"
@@ -48,7 +48,7 @@ class DenoiserStage(BundleStage):
         bundle.traffic.eval().requires_grad_(False)
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
-        """Return the noise loss of the windows at one random diffusion step each."""
+        """Return the noise loss of the windows, each at one random diffusion step."""
         with torch.no_grad():
             context = self.bundle.traffic.encoder(batch)
             x0 = clean(self.bundle, batch, context, moment.generator)
@@ -84,7 +84,7 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
 
 
 def schedule_of(bundle: Bundle) -> NoiseSchedule:
-    """Return the noise schedule that the bundle's denoiser belongs to."""
+    """Return the noise schedule of the bundle's denoiser."""
     return NoiseSchedule(bundle.options.diffusion_steps, bundle.options.schedule)
 
 
@@ -94,7 +94,7 @@ def clean(bundle: Bundle, batch: SceneBatch, context: Context, generator: torch.
 
 
 def random_steps(batch: SceneBatch, schedule: NoiseSchedule, generator: torch.Generator) -> Tensor:
-    """Return a diffusion step (B,) for each scene, 1 … K alike."""
+    """Return a diffusion step (B,) for each scene, uniform in 1 … K."""
     drawn = torch.randint(1, schedule.steps + 1, (batch.scenes,), generator=generator)
     return drawn.to(batch.past.device)
 
@@ -125,7 +125,7 @@ def noise_loss(
         schedule: of the noise.
         k: (B,) diffusion steps.
         generator: of the noise.
-        weight: (B, A, C, L) what each number of a vehicle counts; None: 1.
+        weight: (B, A, C, L) weights of the components of x̃; None: 1.
     """
     noise = torch.randn(x0.shape, generator=generator).to(x0)
     predicted = denoiser(schedule.noisy(x0, k, noise), k, context)
@@ -136,11 +136,11 @@ def noise_loss(
 
 
 def loss_weight(bundle: Bundle, batch: SceneBatch, context: Context, options: DenoiserOptions) -> Tensor:
-    """Return (B, A, C, L) what the numbers of a vehicle's x⁰ count in the loss; 1 in the mean of a vehicle's.
+    """Return weights (B, A, C, L) of the components of x⁰ in the loss, with mean 1 for each vehicle.
 
-    Most of the posterior's numbers say next to nothing: their noise cannot be predicted, and hides what there is to
-    learn of the others. ``options.information`` counts each by its KL divergence from the standard normal, over the
-    modelled vehicles of the batch.
+    Most dimensions of the latent carry almost no information: their noise cannot be predicted, and dominates the loss.
+    ``options.information`` weights each by its KL divergence from the standard normal, over the modelled vehicles of
+    the batch.
     """
     standing = (batch.pose[..., 3].abs() < _STANDS_MPS).to(context.h.dtype)
     weight = (1.0 + (options.standing - 1.0) * standing)[..., None, None]
@@ -167,18 +167,18 @@ def sample_score(
 ) -> Tensor:
     """Return the continuous ranked probability score of the denoiser's finished samples, with gradients.
 
-    The mean over two samples of |x − x⁰|, less half of what they differ by, for each number on its own (Gneiting and
-    Raftery 2007, doi:10.1198/016214506000001437, Eq. 21): least where *steps* steps, as a plan takes them, draw the
-    number from its distribution. The noise loss alone lets them draw between two modes.
+    For each component: the mean of |x − x⁰| over two samples, minus half their distance (Gneiting and Raftery 2007,
+    doi:10.1198/016214506000001437, Eq. 21). It is least if samples of *steps* steps, as in a plan, are distributed as
+    the data. With the noise loss alone such samples fall between two modes.
 
     Args:
-        bundle: its denoiser is asked.
+        bundle: provides the denoiser.
         x0: (B, A, C, L) scaled data.
         context: of the windows.
         batch: the windows.
-        steps: of a sample.
-        generator: of the starting noise.
-        weight: (B, A, C, L) what each number of a vehicle counts.
+        steps: denoising steps of a sample.
+        generator: of the initial noise.
+        weight: (B, A, C, L) weights of the components.
     """
     start = torch.randn((2 * x0.shape[0], *x0.shape[1:]), generator=generator).to(x0)
     noise_of, schedule = noise_at(bundle.denoiser, context.repeat(2)), schedule_of(bundle)
@@ -190,9 +190,9 @@ def sample_score(
 
 
 def diffused(bundle: Bundle, context: Context, sampling: Sampling, generator: torch.Generator) -> Tensor:
-    """Return samples x̃⁰ (B, A, C, L) of the denoiser, drawn as *sampling* says, without a guide.
+    """Return unguided samples x̃⁰ (B, A, C, L) of the denoiser with the settings *sampling*.
 
-    Steps beyond those of its schedule are left out.
+    The number of steps is at most that of its schedule.
     """
     schedule = schedule_of(bundle)
     shape = (*context.h.shape[:2], *bundle.codec.shape)
@@ -219,7 +219,7 @@ def noise_at(denoiser: Denoiser, context: Context) -> Noise:
 
 @torch.no_grad()
 def measure_scale(bundle: Bundle, batches: Iterable[SceneBatch], generator: torch.Generator) -> None:
-    """Give the codec mean and deviation of what it makes of the modelled vehicles of *batches*."""
+    """Set the codec's scale to mean and deviation of its values for the modelled vehicles of *batches*."""
     raw = []
     for batch in batches:
         context = bundle.traffic.encoder(batch)

@@ -18,7 +18,7 @@ class Displacement:
     Attributes:
         ade_m: (B, A) mean distance over the known instants.
         fde_m: (B, A) distance at the last known instant.
-        mask: (B, A) vehicles that count: not parked, of whose future something is known.
+        mask: (B, A) vehicles that count: not parked, with a known future instant.
     """
 
     ade_m: Tensor
@@ -35,12 +35,12 @@ class Displacement:
 
 
 def driving(batch: SceneBatch) -> Tensor:
-    """Return (B, A) vehicles that are not parked and of whose future something is known."""
+    """Return (B, A) vehicles that are not parked and have a known future instant."""
     return batch.moved & ~batch.parked & batch.future_valid.any(-1)
 
 
 def displacement(rollout: Rollout, batch: SceneBatch) -> Displacement:
-    """Return the errors of *rollout* against what happened."""
+    """Return the errors of *rollout* relative to the recorded future."""
     known = batch.future_valid
     distance = (rollout.xy - batch.future[..., :2]).norm(dim=-1)  # (B, A, T)
     distance = torch.where(known, distance, 0.0)
@@ -51,11 +51,11 @@ def displacement(rollout: Rollout, batch: SceneBatch) -> Displacement:
 
 
 def logged(batch: SceneBatch) -> Rollout:
-    """Return what happened as a rollout; unknown instants are 0."""
+    """Return the recorded future as a rollout; unknown instants are 0."""
     future, nothing = batch.future, torch.zeros_like(batch.future[..., 0])
     return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)
 
 
 def masked_sum(value: Tensor, mask: Tensor) -> tuple[float, float]:
-    """Return the sum of *value* where *mask* holds, and of how many."""
+    """Return the sum of *value* over *mask*, and the size of the mask."""
     return float(torch.where(mask, value, 0.0).sum()), float(mask.sum())

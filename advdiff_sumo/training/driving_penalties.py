@@ -1,4 +1,4 @@
-"""What a driver avoids, as differentiable penalties of joint futures: leaving the lane, driving up too close."""
+"""Differentiable penalties of joint futures: leaving the lane, following too close."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _FAR_M = 1e4
 
 
 def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return (B, A) metres beyond 1.2 m from the nearest lane's middle that points the vehicle's way, mean over time.
+    """Return (B, A) distances beyond 1.2 m from the nearest lane in the vehicle's direction, mean over time.
 
-    3 m at most at an instant: who is farther off, as behind the last lane piece that is known, learns nothing from it.
+    At most 3 m at each instant: beyond that, as behind the last known lane piece, it has no gradient.
     """
     pose = batch.pose[:, :, None]
     yaw = pose[..., 2].expand(rollout.yaw.shape)
@@ -49,10 +49,10 @@ def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
 
 
 def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return (B, A) what is wrong with how vehicles follow, mean over time and summed over those ahead.
+    """Return (B, A) penalties of following too close, mean over time and summed over the vehicles ahead.
 
-    The share that lacks of a gap of 0.5 m and 0.6 s, and by what share the deceleration that would avoid the contact is
-    over 4 m/s², the latter at most 2.
+    The sum of the relative lack of a gap of 0.5 m plus 0.6 s, and the relative excess over 4 m/s² of the deceleration
+    required to avoid contact, at most 2.
     """
     scenes, agents, steps = rollout.yaw.shape
     xy, yaw, speed = (
@@ -71,7 +71,7 @@ def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
 
 
 def travelled_m(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return (B, A) metres that each vehicle drives over the instants that the log knows without a gap."""
+    """Return the distances (B, A) in metres that vehicles drive before the first instant that the log lacks."""
     before = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
     known = batch.future_valid.cumprod(-1).bool()
     stride = torch.sqrt((rollout.xy - before).square().sum(-1) + 1e-9)

@@ -1,7 +1,7 @@
 """Exponential moving average of the weights, which is what is evaluated and shipped.
 
-``torch.optim.swa_utils.AveragedModel`` is a second copy of the module, with names of its own in every checkpoint, and
-leaves to its user what is here: a decay that grows with the step, and letting the module have the average for a while.
+``torch.optim.swa_utils.AveragedModel`` is a second copy of the module with other tensor names in every checkpoint, and
+lacks what is needed here: a decay that grows with the step, and swapping the average into the module temporarily.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ class Ema:
     """A running average of a module's floating-point state.
 
     Args:
-        module: what is averaged.
-        decay: share of the old average that is kept at each step, once warmed up; 0 follows the weights.
+        module: whose state is averaged.
+        decay: factor of the old average in each step, after the first steps; 0: no averaging.
     """
 
     def __init__(self, module: nn.Module, decay: float) -> None:
@@ -28,7 +28,7 @@ class Ema:
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Take in the weights after step number *step* (from 0); young averages follow faster."""
+        """Update the average after step number *step* (from 0); in the first steps the decay is smaller."""
         decay = min(self.decay, (1.0 + step) / (10.0 + step))
         for name, value in self.module.state_dict().items():
             if value.is_floating_point():
@@ -37,13 +37,13 @@ class Ema:
                 self.shadow[name].copy_(value)
 
     def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a saved average."""
+        """Continue from a saved average."""
         for name, value in self.shadow.items():
             value.copy_(state[name])
 
     @contextmanager
     def applied(self) -> Iterator[None]:
-        """Let the module have the averaged weights for a while."""
+        """Give the module the averaged weights inside a ``with`` block."""
         own = {name: value.detach().clone() for name, value in self.module.state_dict().items()}
         self.module.load_state_dict(self.shadow)
         try:

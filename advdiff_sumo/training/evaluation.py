@@ -32,13 +32,13 @@ _STANDS_M = 1.0
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How weights are judged.
+    """Settings of an evaluation.
 
     Attributes:
         samples: joint samples of each scene.
         steps: DDIM steps.
-        windows: most windows looked at, evenly taken; None: all.
-        batch_size: scenes at once.
+        windows: most windows used, evenly spaced; None: all.
+        batch_size: scenes in a batch.
         seed: of the samples.
     """
 
@@ -51,14 +51,14 @@ class EvaluationSettings:
 
 @dataclass
 class _Sums:
-    """What has been added up of one way to predict."""
+    """Sums over windows for one method of prediction."""
 
     tally: Tally = field(default_factory=dict)
     speed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.SPEED_BINS) - 1))
     accel: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(realism.ACCEL_BINS) - 1))
 
     def count(self, judged: JudgedWindows, standing: Tensor) -> None:
-        """Add histograms, collisions, departures from the road, and who stands (W S, A)."""
+        """Add histograms, collisions, road departures and *standing* vehicles (W S, A)."""
         self.speed += judged.speed.sum(0)
         self.accel += judged.accel.sum(0)
         total = float(judged.driving.sum() * judged.hit.shape[1])
@@ -67,7 +67,7 @@ class _Sums:
 
 
 def methods(bundle: Bundle, judging: EvaluationSettings) -> dict[str, Draw]:
-    """Return the ways to predict that the bundle's stages allow, with the baselines."""
+    """Return the methods of prediction that the bundle's stages allow, and the baselines."""
     draws: dict[str, Draw] = {
         "constant velocity": lambda batch, *_: (constant_velocity(batch), 1),
         "lane following": lambda batch, *_: (lane_following(batch), 1),
@@ -92,20 +92,20 @@ def evaluate_bundle(
     device: torch.device,
     tell: Callable[[int, int], None] | None = None,
 ) -> dict[str, Figures]:
-    """Return the figures of each way to predict, and of the log.
+    """Return the figures of each method of prediction, and of the log.
 
     Errors are of driving vehicles: not parked, with a known future. With several samples, ``min_ade_m`` and
     ``min_fde_m`` take the best one of each vehicle, ``min_sfde_m`` the best one of each scene as a whole.
     ``energy_m`` is the energy score of the final positions, FDE − FDD / 2 (Gneiting and Raftery 2007,
-    doi:10.1198/016214506000001437): low where samples are near what happened and no more alike than they should be.
+    doi:10.1198/016214506000001437): low if samples are near the recorded future and as diverse as it requires.
     JSD is against the log's histogram, base 2. ``standing_rate`` counts vehicles that drive less than 1 m.
 
     Args:
         bundle: networks; untrained parts are not judged.
-        windows: what happened.
-        judging: how many samples, of how many windows.
-        device: where it is computed.
-        tell: told how many windows are done, and how many there are.
+        windows: with recorded futures.
+        judging: settings.
+        device: of the computation.
+        tell: called with the numbers of finished and of all windows.
 
     Raises:
         ConfigError: the windows show another view of the map than the networks see.
@@ -136,7 +136,7 @@ def evaluate_bundle(
 def write_figures(
     path: Path, figures: dict[str, Figures], judging: EvaluationSettings, windows: WindowSet
 ) -> None:
-    """Write the figures as JSON, with what they were made of.
+    """Write the figures as JSON, with weights, data and settings.
 
     Raises:
         FileError: *path* cannot be written.

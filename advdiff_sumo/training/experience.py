@@ -28,10 +28,10 @@ class Experience:
         state: scenes s.
         target: (B,) row of the tested vehicle.
         action: (B, A, Z) scaled latents a.
-        gain: (B,) what is known of the value: discounted rewards of the stretches that were executed.
-        remains: (B,) what Q(s', ·) is multiplied with: γⁿ, or 0 after a collision.
+        gain: (B,) discounted rewards of the executed stretches.
+        remains: (B,) factor of Q(s', ·): γⁿ, or 0 after a collision.
         after: scenes s'.
-        weight: (B,) 1, or 0 where the experience does not count.
+        weight: (B,) 1 if the experience counts, else 0.
     """
 
     state: SceneBatch
@@ -61,10 +61,10 @@ def gathered(parts: Sequence[Experience]) -> Experience:
 
 
 def value_of(rewards: Sequence[Payoff], discount: float) -> tuple[Tensor, Tensor]:
-    """Return the value (B,) that stretches of rewards give, and the factor (B,) of what comes after them.
+    """Return the discounted value (B,) of stretches of rewards, and the factor (B,) of the value after them.
 
-    Values are scaled by 1 − γ, so that a reward of 1 for ever is a value of 1. A collision is for ever: an episode
-    ends with it, and being near would otherwise be worth more than colliding.
+    Values are scaled by 1 − γ, so that a constant reward of 1 has value 1. After a collision, which ends an episode,
+    its reward is continued for ever; otherwise staying near would have a higher value than colliding.
     """
     gain = torch.zeros_like(rewards[0].reward)
     factor = torch.ones_like(gain)
@@ -81,8 +81,8 @@ def observed(
     """Return the experience of a plan that has been executed, in a run or in a log.
 
     Args:
-        state: scenes when it was made.
-        path: (B, A, T) what then happened, T = n · ``options.execute`` steps; all of it counts.
+        state: scenes when the plan was made.
+        path: (B, A, T) executed states, T = n · ``options.execute`` steps.
         target: (B,) row of the tested vehicle.
         action: (B, A, Z) scaled latents of the plan.
         options: weights, discount.
@@ -95,7 +95,7 @@ def observed(
 
 
 def pick_target(batch: SceneBatch, steps: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Return a random target (B,) among vehicles whose next *steps* are known, and whether there is one (B,)."""
+    """Return a random target (B,) among vehicles with known next *steps*, and whether there is one (B,)."""
     usable = batch.moved & ~batch.parked & batch.future_valid[:, :, :steps].all(-1)
     weight = usable.float() + 1e-9 * batch.present.float()
     drawn = torch.multinomial(weight.cpu(), 1, generator=generator).squeeze(1).to(batch.past.device)
@@ -105,7 +105,7 @@ def pick_target(batch: SceneBatch, steps: int, generator: torch.Generator) -> tu
 def random_action(
     bundle: Bundle, context: Context, options: RewardOptions, generator: torch.Generator
 ) -> Tensor:
-    """Return scaled latents (B, A, Z); each scene's are all of one source, drawn by the options' shares."""
+    """Return scaled latents (B, A, Z), for each scene from one source, drawn with the options' shares."""
     shares = torch.tensor([options.prior, options.noise, options.diffusion])
     scenes = context.h.shape[0]
     source = torch.multinomial(shares, scenes, replacement=True, generator=generator)
@@ -120,7 +120,7 @@ def random_action(
 
 
 def prior_action(bundle: Bundle, context: Context, generator: torch.Generator) -> Tensor:
-    """Return scaled latents (B, A, Z) of the prior."""
+    """Return scaled latents (B, A, Z) sampled from the prior."""
     return bundle.codec.scale(context.prior.sample(generator)[:, :, None])[:, :, 0]
 
 
@@ -132,7 +132,7 @@ def decoded(
     target: Tensor,
     steps: int = FUTURE_STEPS,
 ) -> Rollout:
-    """Return what scaled latents (B, A, Z) lead to while the target replays its log, as far as that is known."""
+    """Return decoded scaled latents (B, A, Z), while the target replays its log as far as that is known."""
     rows = torch.arange(batch.agents, device=target.device) == target[:, None]
     forced = Forced(batch.future, rows[..., None] & batch.future_valid)
     z = bundle.codec.unscale(action[:, :, None])[:, :, 0]
@@ -144,9 +144,9 @@ def decoded(
 def from_logs(
     bundle: Bundle, batch: SceneBatch, options: RewardOptions, generator: torch.Generator
 ) -> Iterator[Experience]:
-    """Yield experiences one after another in the same scenes, ``options.execute`` steps apart.
+    """Yield successive experiences in the same scenes, ``options.execute`` steps apart.
 
-    Each lasts n = ``options.returns`` stretches of one plan; the next one begins after the first stretch.
+    Each covers n = ``options.returns`` stretches of one plan; the next one begins after the first stretch.
     """
     steps = options.execute * options.returns
     target, alive = pick_target(batch, steps, generator)

@@ -1,10 +1,10 @@
-"""Where Q points: its gradient, which is what guides, is taught the way that leads attackers to the target.
+"""Gradient alignment: trains the direction of Q's gradient, which guides, to lead attackers to the target.
 
-One number an experience tells little about which of several hundred latents matter. So the direction of ∂Q/∂aᵢ of
-each vehicle near the target is held against that of −∂cᵢ/∂aᵢ through the decoder, while the target drives as it
-then did; c is the objective of ``diffusion.attack`` of kind "any": the least gap in the next seconds, overlap
-with others, what is over the road's edge, and how unlikely the prior finds the latent. Only the direction counts
-(gradients as labels: Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859), as guidance takes no more of it.
+The single reward of an experience says little about which of several hundred latents matter. So the direction of
+∂Q/∂aᵢ, for each vehicle near the target, is compared with that of −∂cᵢ/∂aᵢ through the decoder, while the target moves
+as recorded. c is the loss of ``diffusion.attack`` of kind "any": the least gap in the next seconds, overlap with others
+and the road edge, and the latent's likelihood under the prior. Only the direction is trained (gradients as labels:
+Sobolev training, Czarnecki et al. 2017, arXiv:1706.04859), as guidance uses nothing else of the gradient.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _PUSHED, _TURNS, _MOST_PUSHED = 0.8, 3, 3
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far Q points where it should.
+    """Agreement of Q's gradient with the direction that leads to contact.
 
     Attributes:
-        cosine: (B, A) between ∂Q/∂aᵢ and the way that leads to contact; 0 where it does not count.
-        counts: (B, A) vehicles that come near the target, whose drive is known, and for whom there is such a way.
+        cosine: (B, A) between ∂Q/∂aᵢ and that direction; 0 for vehicles that do not count.
+        counts: (B, A) vehicles that come near a target with known motion, and have such a direction.
     """
 
     cosine: Tensor
@@ -46,7 +46,7 @@ class Agreement:
 def direction_loss(
     bundle: Bundle, experience: Experience, options: RewardOptions, generator: torch.Generator
 ) -> Tensor:
-    """Return 1 − cos averaged over the vehicles that count; 1 where there is none."""
+    """Return 1 − cos averaged over the vehicles that count; 1 if there is none."""
     agreement = agreement_of(bundle, experience, options, generator)
     return 1.0 - agreement.cosine.sum() / agreement.counts.sum().clamp(min=1)
 
@@ -54,12 +54,12 @@ def direction_loss(
 def agreement_of(
     bundle: Bundle, experience: Experience, options: RewardOptions, generator: torch.Generator
 ) -> Agreement:
-    """Return where Q points at the actions of *experience*, some of them shifted up Q as guidance shifts them.
+    """Return the agreement at the actions of *experience*, some of them shifted along Q's gradient, as in guidance.
 
     Args:
-        bundle: the networks; gradients go to the reward model alone.
-        experience: experiences; the target's drive is the future in their states.
-        options: how far ahead, how long the shifts.
+        bundle: the networks; only the reward model gets gradients.
+        experience: experiences; the target moves as in the future of their states.
+        options: horizon, and length of the shifts.
         generator: of the shifts.
     """
     with torch.no_grad():
@@ -82,7 +82,7 @@ def agreement_of(
 
 
 def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what attackers want small but for the prior (B,), and who comes near enough to count (B, A)."""
+    """Return the attackers' loss without the prior's term (B,), and which vehicles come near enough to count (B, A)."""
     gap = target_gap(path, batch, target)
     least = nearest(gap)
     near = background(batch, target) & (least.detach() < _FAR_M)
@@ -101,7 +101,7 @@ def _cost(bundle: Bundle, experience: Experience, context: Context, steps: int) 
 def _pushed(
     bundle: Bundle, experience: Experience, context: Context, most: float, generator: torch.Generator
 ) -> Tensor:
-    """Return the actions (B, A, Z) with up to three vehicles near the target shifted up Q, in four of five scenes."""
+    """Return actions (B, A, Z), in 80 % of the scenes with up to three vehicles shifted along Q's gradient."""
     mask = _chosen(experience.state, experience.target, generator).to(experience.action.dtype)
     here = experience.action.device
     share = torch.rand((len(mask), 1, 1), generator=generator)
@@ -115,7 +115,7 @@ def _pushed(
 
 
 def _chosen(batch: SceneBatch, target: Tensor, generator: torch.Generator) -> Tensor:
-    """Return (B, A) one to three of those who can attack, the nearer the likelier."""
+    """Return (B, A) one to three random vehicles that can attack; nearer ones are more likely."""
     row = torch.arange(batch.scenes, device=target.device)
     away = (batch.pose[..., :2] - batch.pose[row, target][:, None, :2]).norm(dim=-1)
     away = away * (1.0 + 0.5 * torch.rand(away.shape, generator=generator).to(away))

@@ -1,4 +1,4 @@
-"""Warm-up: Q alone is refitted to what a new planner did in the first interactive steps (Sec. III-C)."""
+"""Warm-up: refits only Q to a new planner's behaviour in the first interactive steps (Sec. III-C)."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from advdiff_sumo.training.reward_stage import follow, q_loss
 
 
 class WarmUp:
-    """Refits the reward model of a bundle in place; nothing else of it changes.
+    """Refits the reward model of a bundle in place; the other networks do not change.
 
     Args:
-        bundle: trained.
+        bundle: trained networks.
         options: those of the pretraining.
         learning_rate: of Adam.
         batch_size: experiences in a step.
-        seed: of the order and of the candidates.
+        seed: of the order and of the candidate actions.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class WarmUp:
         self._steps = 0
 
     def fit(self, stored: Sequence[Experience], steps: int) -> list[float]:
-        """Take *steps* steps on draws from *stored* and return the losses.
+        """Take *steps* optimiser steps on random batches of *stored* and return the losses.
 
         Args:
-            stored: experiences of a run, see ``experience.observed``; any number of scenes in each.
-            steps: how many.
+            stored: experiences of a run, see ``experience.observed``; each may hold several scenes.
+            steps: number of optimiser steps.
 
         Raises:
             TrainingError: a loss is not a number.
@@ -73,7 +73,7 @@ class WarmUp:
         return float(loss.detach())
 
     def _loss(self, stored: Sequence[Experience]) -> Tensor:
-        """Return the loss of this step's draw from *stored*, which may lie on another device than the networks."""
+        """Return the loss of a random batch of *stored*, which may be on another device than the networks."""
         node = self.tree.child(self._steps)
         drawn = node.child("draw").generator().integers(0, len(stored), min(self.batch_size, len(stored)))
         experience = gathered([stored[i] for i in drawn]).to(self._parameters[0].device)

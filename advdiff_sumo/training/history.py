@@ -1,4 +1,4 @@
-"""What is left of a training to look at: metrics.jsonl, a picture of the curves, TensorBoard events."""
+"""Records of a training: metrics.jsonl, a picture of the curves, TensorBoard events."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Events(Protocol):
 
 
 class NoEvents:
-    """Stands in where the package tensorboard is not installed."""
+    """Used if the package tensorboard is not installed."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
         """Do nothing."""
@@ -36,11 +36,11 @@ class NoEvents:
 
 
 def open_events(folder: Path, step: int) -> Events | None:
-    """Return a writer of TensorBoard events, or None where the package is missing.
+    """Return a writer of TensorBoard events, or None if the package is not installed.
 
     Args:
-        folder: where the events go.
-        step: steps done before; events of an interrupted run that lie after it are hidden, those of it stay.
+        folder: of the event files.
+        step: steps done before; later events, of an interrupted run, are hidden.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter  # late: an optional package, and slow to import
@@ -64,7 +64,7 @@ def write_lines(path: Path, history: Sequence[Record]) -> None:
 
 
 def draw_curves(path: Path, title: str, history: Sequence[Record]) -> None:
-    """Draw every figure over the epochs, training and held-out in one panel, as PNG."""
+    """Draw every figure over the epochs as PNG, training and held-out curves in the same panel."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # late: half a second
     from matplotlib.figure import Figure
 

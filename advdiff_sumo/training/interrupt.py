@@ -1,4 +1,4 @@
-"""Ctrl-C while training: the step that runs is finished and saved, then the program leaves."""
+"""Ctrl-C while training: the current step is finished and saved, then the program exits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
-    """Whether the user wants to stop; set by the signal, asked for between two steps."""
+    """Whether the user wants to stop; set by a signal, read between two steps."""
 
     def __init__(self) -> None:
         self.stop = False
@@ -23,9 +23,9 @@ class StopRequest:
 
 @contextmanager
 def graceful() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C (or SIGTERM) into a wish to stop; the second one acts at once, as usual.
+    """Turn the first Ctrl-C (or SIGTERM) into a request to stop; a second one acts at once, as usual.
 
-    Outside the main thread, where Python allows no handlers, the wish is never set.
+    Outside the main thread, where Python allows no signal handlers, the request is never set.
     """
     wish = StopRequest()
     if threading.current_thread() is not threading.main_thread():

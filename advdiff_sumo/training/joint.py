@@ -1,4 +1,4 @@
-"""Stage "joint": all of traffic model and denoiser together, with collision penalties (Sec. III-B, L_joint)."""
+"""Stage "joint": trains traffic model and denoiser together, with collision penalties (Sec. III-B, L_joint)."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 class JointStage(BundleStage):
     """Trains traffic model and denoiser by L_ELBO + L_noise + P_coll.
 
-    z̃⁰ carries no gradient in L_noise: otherwise the posterior could lower it by giving up information.
+    L_noise sends no gradient to z̃⁰: the posterior could otherwise reduce it by losing information.
 
     Args:
-        bundle: trained in place, all but its reward model.
+        bundle: trained in place, except its reward model.
         elbo_options: weights of the ELBO.
         options: weights of the other terms.
     """
@@ -63,7 +63,7 @@ class JointStage(BundleStage):
         return self._terms(batch, k, kl_share(moment.progress, self.elbo_options), moment.generator)
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Return the loss, and the displacements of both parts."""
+        """Return the loss, and displacement errors of traffic model and denoiser."""
         k = random_steps(batch, self.schedule, generator)
         terms = self._terms(batch, k, 1.0, generator)
         tally = TrafficStage(self.bundle, self.elbo_options).evaluate(batch, generator)
@@ -95,7 +95,7 @@ class JointStage(BundleStage):
     def _likely(
         self, batch: SceneBatch, share: float, generator: torch.Generator
     ) -> tuple[dict[str, Tensor], list[tuple[Rollout, float]], Context]:
-        """Return the ELBO's terms, the posterior's futures and the context; of a fixed traffic model the last."""
+        """Return the ELBO's terms, the posterior's futures and the context; only the last for a fixed traffic model."""
         traffic = self.bundle.traffic
         if not self.options.traffic:
             with torch.no_grad():
@@ -106,7 +106,7 @@ class JointStage(BundleStage):
     def sampled(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[list[tuple[Rollout, float]], Tensor]:
-        """Return what the model makes of these scenes on its own, with its weight, and how far it has strayed."""
+        """Return futures sampled by the model, each with its weight, and the loss of the anchor."""
         options, unmoved = self.options, batch.past.new_zeros(())
         if options.samples == "none":
             return [], unmoved
@@ -123,10 +123,10 @@ class JointStage(BundleStage):
     def _foreseen(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[Rollout, float, Tensor]:
-        """Return what the denoiser predicts somewhere on its way, decoded by a decoder that stays as it is.
+        """Return the denoiser's decoded prediction at a random step, its weight and anchor loss; the decoder is fixed.
 
-        Early predictions blur what may happen: they count less, by α. The third value is ‖ε − ε of the beginning‖²
-        there, the mean over vehicles and numbers.
+        Early predictions average over possible futures, so their weight is α. The anchor loss is the mean of
+        ‖ε − ε of the initial denoiser‖² over vehicles and components.
         """
         bundle, sampling = self.bundle, Sampling(steps=self.options.sampling_steps)
         done = int(torch.randint(sampling.steps, (), generator=generator))
@@ -150,7 +150,7 @@ def _fixed(context: Context) -> Context:
 
 @contextmanager
 def _untrained(module: nn.Module) -> Iterator[None]:
-    """Let what *module* does in the meantime leave no gradients in its weights."""
+    """Keep computations of *module* inside a ``with`` block from sending gradients to its weights."""
     trained = [weight for weight in module.parameters() if weight.requires_grad]
     for weight in trained:
         weight.requires_grad_(False)
@@ -164,22 +164,22 @@ def _untrained(module: nn.Module) -> Iterator[None]:
 def _mean(
     penalty: Callable[[Rollout, SceneBatch], Tensor], rollouts: list[tuple[Rollout, float]], batch: SceneBatch
 ) -> Tensor:
-    """Return the mean of the weighted *penalty* of *rollouts*; 0 without any, as of a fixed model unsampled."""
+    """Return the weighted mean of the *penalty* of *rollouts*; 0 without rollouts."""
     if not rollouts:
         return batch.past.new_zeros(())
     return torch.stack([weight * penalty(rollout, batch) for rollout, weight in rollouts]).mean()
 
 
 def vehicle_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return P_coll between agents: overlap summed over others and instants, mean over vehicles not parked."""
+    """Return P_coll between agents: overlap summed over others and instants, mean over vehicles that are not parked."""
     overlap = pair_overlap(rollout, batch.size, batch.present)  # (B, A, A, T)
     return masked_mean(overlap.sum((2, 3)), batch.moved & ~batch.parked)
 
 
 def road_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    """Return P_coll with the environment: overlap with the road's edge beyond what the log has, summed and meant.
+    """Return P_coll with the environment: overlap with the road edge in excess of the log's, averaged over vehicles.
 
-    A log knows vehicles that leave the drivable area, into parking places for one: what they do is no fault.
+    In logs, vehicles may leave the drivable area, for example into parking places; this is not penalised.
     """
     over = off_road(rollout, batch)
     truth = off_road(logged(batch), batch)

@@ -1,7 +1,7 @@
-"""Learning rate as a function of the step, so that nothing of it needs to be saved.
+"""Learning rate as a pure function of the step, so that checkpoints need no state of it.
 
-PyTorch's schedulers keep counts of their own that a checkpoint would have to hold, and ``OneCycleLR`` refuses a step
-beyond the total that it was made for; here ``--resume`` and a changed length need no care.
+PyTorch's schedulers have a state that a checkpoint would have to hold, and ``OneCycleLR`` refuses steps beyond its
+total. With a function, resuming and changing the length of a training need no special cases.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _START_SHARE, _END_SHARE = 0.04, 0.002
 
 
 def rate_factor(name: ScheduleName, step: int, total: int, warmup_share: float = 0.1) -> float:
-    """Return what the learning rate is multiplied with at *step* of *total*.
+    """Return the factor of the learning rate at *step* of *total*.
 
     Args:
         name: "constant"; "cosine": from 1 down to 0.002 along half a cosine; "one-cycle": up from 0.04 to 1
@@ -23,7 +23,7 @@ def rate_factor(name: ScheduleName, step: int, total: int, warmup_share: float =
             doi:10.1117/12.2520589).
         step: steps done, from 0.
         total: all steps of the training.
-        warmup_share: share of the way up.
+        warmup_share: share of the steps in which the rate rises.
     """
     if name == "constant":
         return 1.0

@@ -1,4 +1,4 @@
-"""Open loop: joint futures drawn of windows, and how they are judged against what happened."""
+"""Open loop: samples joint futures of windows, and measures them against the recorded ones."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from advdiff_sumo.training.denoiser_stage import diffused
 from advdiff_sumo.training.displacement import displacement, driving
 
 Draw = Callable[[SceneBatch, Context, int, torch.Generator], tuple[Rollout, int]]
-"""Windows, their contexts, how many samples → joint futures of each that many times in a row, and how many times."""
+"""Windows, their contexts, samples, random numbers → sampled futures, and how many there are of each window."""
 Refine = Callable[[Tensor, Context, SceneBatch, int], Tensor]
-"""Drawn latents, contexts and windows of all samples, samples of each window → latents that are decoded instead."""
+"""Latents, contexts and windows of all samples, number of samples of a window → refined latents."""
 
 
 def from_prior(bundle: Bundle) -> Draw:
-    """Return what draws samples from the prior of *bundle*."""
+    """Return a sampler of the prior of *bundle*."""
 
     def draw(
         batch: SceneBatch, context: Context, samples: int, generator: torch.Generator
@@ -38,10 +38,10 @@ def from_prior(bundle: Bundle) -> Draw:
 
 
 def sampling_of(bundle: Bundle, steps: int) -> Sampling:
-    """Return how free samples of *bundle* are drawn in *steps* of DDIM: as came out best on tuning windows.
+    """Return the settings of unguided sampling of *bundle* in *steps* of DDIM, which were tuned on other windows.
 
-    Latents begin where the data predicted from pure noise is no longer all error; those that a closed-loop decoder
-    drives stay where it was taught (docs/experiments.md).
+    Sampling starts below the end of the schedule, where predictions of the data are mostly error. Latents for a
+    closed-loop decoder are clipped to the range of its training (docs/experiments.md).
     """
     if bundle.options.codec != "latent":
         return Sampling(steps)
@@ -50,7 +50,7 @@ def sampling_of(bundle: Bundle, steps: int) -> Sampling:
 
 
 def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Draw:
-    """Return what draws samples by *steps* of DDIM, see :func:`sampling_of`."""
+    """Return a sampler by *steps* of DDIM, see :func:`sampling_of`."""
     sampling = sampling_of(bundle, steps)
 
     def draw(
@@ -67,15 +67,15 @@ def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Dr
 
 @dataclass(frozen=True)
 class JudgedWindows:
-    """What is counted of W windows of A agents, with S joint samples each.
+    """Measurements of W windows of A agents, with S joint samples each.
 
     Attributes:
         ade_m: (W, S, A) mean error over the known instants.
         fde_m: (W, S, A) error at the last known instant.
-        spread_m: (W, A) mean distance of final positions over pairs of samples; 0 of a single one.
-        driving: (W, A) vehicles that count: not parked, of whose future something is known.
-        hit: (W, S, A) of these, those whose box meets another one.
-        off_road: (W, S, A) of these, those whose centre leaves the road.
+        spread_m: (W, A) mean distance of final positions over pairs of samples; 0 with one sample.
+        driving: (W, A) vehicles that count: not parked, with a known future instant.
+        hit: (W, S, A) driving vehicles whose box overlaps another one.
+        off_road: (W, S, A) driving vehicles whose centre leaves the road.
         speed: (W, bins) counts of speeds.
         accel: (W, bins) counts of accelerations.
     """
@@ -91,19 +91,19 @@ class JudgedWindows:
 
     @property
     def sfde_m(self) -> Tensor:
-        """(W,) least final error of a sample, mean over its driving vehicles."""
+        """(W,) final error of the best joint sample, mean over its driving vehicles (minSFDE)."""
         total = torch.where(self.driving[:, None], self.fde_m, 0.0).sum(2)
         return total.amin(1) / self.driving.sum(1).clamp(min=1)
 
 
 def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | None = None) -> JudgedWindows:
-    """Return what is counted of joint futures.
+    """Return the measurements of joint futures.
 
     Args:
-        rollout: futures of each window, *times* in a row.
-        several: the windows with what happened, repeated alike.
+        rollout: futures; those of one window are *times* successive rows.
+        several: the windows with recorded futures, repeated in the same way.
         times: samples of each window.
-        known: (W S, A, T) instants at which an agent is there; None: who is there now stays.
+        known: (W S, A, T) instants at which an agent is present; None: agents present now stay.
     """
     if known is None:
         known = several.present[..., None].expand(rollout.yaw.shape)

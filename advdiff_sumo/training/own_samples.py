@@ -1,4 +1,4 @@
-"""What a traffic model's own joint samples are taught and judged by: bodies, road, lanes, following, progress."""
+"""Penalties and figures of a traffic model's own samples: overlap, road, lanes, following distance, progress."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from advdiff_sumo.training.stage import Tally
 def both(
     decoder: Decoder, latents: tuple[Tensor, Tensor], h: tuple[Tensor, Tensor], batch: SceneBatch
 ) -> tuple[Rollout, Rollout]:
-    """Return the futures of two kinds of latents (B, A, Z) with their embeddings (B, A, D), in one pass."""
+    """Return the futures of two sets of latents (B, A, Z) and embeddings (B, A, D), decoded in one pass."""
     z, state = (torch.stack(pair, dim=1).flatten(0, 1) for pair in (latents, h))
     rollout = decoder(z, state, batch.repeat(2))
     first, second = (Rollout(**{k: v[i::2] for k, v in vars(rollout).items()}) for i in (0, 1))
@@ -29,12 +29,12 @@ def both(
 
 
 def sample_judge(compiled: bool) -> Callable[[Rollout, SceneBatch, DecoderOptions], dict[str, Tensor]]:
-    """Return :func:`sample_terms`, fused by ``torch.compile`` where that is asked for."""
+    """Return :func:`sample_terms`, by ``torch.compile`` if *compiled*."""
     return torch.compile(sample_terms, dynamic=False) if compiled else sample_terms
 
 
 def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> dict[str, Tensor]:
-    """Return what is wrong with sampled futures *free*, each term with its weight."""
+    """Return the weighted penalties of sampled futures *free*, by name."""
     who = batch.moved & ~batch.parked
     how = Together(vehicles=options.vehicles, road=options.road)
     way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
@@ -49,7 +49,7 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
 
 @torch.no_grad()
 def faults(free: Rollout, batch: SceneBatch) -> Tally:
-    """Return how many vehicles collide or leave the road in sampled futures, and how far they drive."""
+    """Return the collisions, road departures and driven distances of sampled futures."""
     there, who = batch.present[..., None].expand(free.yaw.shape), driving(batch)
     driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged(batch)))
     return realism.faults(free, batch, there) | {"travelled": (driven, truth)}

@@ -1,4 +1,4 @@
-"""Every hyper-parameter of every stage, and the two sets of them that have a name."""
+"""Hyper-parameters of all stages, and their two presets."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class ElboOptions(Options):
     """The ELBO (Sec. III-B), per vehicle; its reconstruction is ``models.losses.reconstruction``.
 
     Attributes:
-        kl_weight: weight of the KL divergence of a latent against the mean reconstruction error of a step.
-        kl_anneal_share: share of the training over which that weight rises from a hundredth of it.
-        free_nats: KL of each of the latent's numbers that costs nothing.
-        samples: weight of what is wrong with a draw of the prior, by the terms of :class:`DecoderOptions`; it teaches
-            the decoder alone; 0: none.
+        kl_weight: weight of the KL divergence of a latent, relative to the mean reconstruction error of a step.
+        kl_anneal_share: share of the training in which that weight rises from a hundredth of it.
+        free_nats: KL of each dimension of the latent that is not penalised.
+        samples: weight of the penalties of samples of the prior, see :class:`DecoderOptions`, which train only the
+            decoder; 0: none.
     """
 
     kl_weight: float = Field(0.02, ge=0.0)
@@ -40,17 +40,17 @@ class CollisionOptions(Options):
 
     Attributes:
         vehicles: weight of the five-disc overlap between vehicles.
-        road: weight of the overlap with the road's edge.
-        samples: what counts beside trajectories of the posterior. "denoiser": what the denoiser predicts
-            somewhere on its way to a sample, so that it learns to draw scenes that fit together; "decoder": its
-            finished samples, for the decoder to keep apart what was drawn apart; "prior": those of the prior;
-            or "none".
+        road: weight of the overlap with the road edge.
+        samples: what is penalised besides futures of the posterior. "denoiser": the denoiser's predictions at random
+            steps, so that it learns to sample scenes without overlap; "decoder": its finished samples, which train
+            the decoder; "prior": samples of the prior;
+            "none".
         sampling_steps: DDIM steps of these samples.
         noise: weight of the noise loss.
-        anchor: weight of how far the denoiser's predictions on its way go from those of the denoiser that the
-            stage began with; without it the easiest traffic that never collides is traffic that stands.
-        traffic: whether encoder, posterior and decoder are trained as well, as in the paper; without them a step
-            takes half the time.
+        anchor: weight of the squared difference of the denoiser's predictions from those of the stage's initial
+            denoiser; without it the penalties are minimised by traffic that stands still.
+        traffic: whether encoder, posterior and decoder are trained, too, as in the paper; without them a step takes
+            half the time.
     """
 
     vehicles: float = Field(1.0, ge=0.0)
@@ -66,22 +66,22 @@ class RewardOptions(Options):
     """Pretraining of Q (Sec. III-C).
 
     Attributes:
-        discount: γ a transition.
-        execute: model steps l that a transition executes.
-        returns: transitions of one plan whose rewards are summed before Q takes over (n-step targets); 1 is
-            the paper's target.
-        direction: weight of 1 − cos between ∂Q/∂a, which is what guides, and the way that leads to contact, see
-            ``training.gradient_alignment``; 0 is the paper's loss.
-        look: model steps ahead of which that way is the way.
-        push: longest shift up Q, in scaled latents, at which it is taught; guidance goes as far.
-        transitions: experiences taken from one window one after another, while its log lasts.
-        candidates: latents of the prior over which the maximum of Q is taken.
-        target_decay: share of the old target network that a step keeps.
-        reach_m: gap at which the reward for being near has fallen to 1/e.
-        vehicles: weight of the overlap of background vehicles with each other in the reward.
-        road: weight of their overlap with the road's edge.
-        prior, noise, diffusion: shares of the sources of the random latents z̃: the prior, N(0, 1), the denoiser.
-        sampling_steps: DDIM steps where the denoiser is the source.
+        discount: γ of one transition.
+        execute: model steps l of one transition.
+        returns: transitions of one plan whose rewards are summed before Q(s', ·) (n-step targets); 1: the paper's
+            target.
+        direction: weight of 1 − cos between ∂Q/∂a and the direction that leads to contact, see
+            ``training.gradient_alignment``; 0: the paper's loss.
+        look: horizon of that direction, in model steps.
+        push: longest shift along Q's gradient, in scaled latents, at which the direction is trained; as in guidance.
+        transitions: successive experiences of one window, as far as its log goes.
+        candidates: samples of the prior over which the maximum of Q is taken.
+        target_decay: factor of the old target network in each step.
+        reach_m: gap at which the reward for proximity has fallen to 1/e.
+        vehicles: weight of the overlap between background vehicles in the reward.
+        road: weight of their overlap with the road edge.
+        prior, noise, diffusion: shares of the sources of the random latents z̃: prior, N(0, 1), denoiser.
+        sampling_steps: DDIM steps of the source denoiser.
     """
 
     discount: float = Field(0.9, ge=0.0, lt=1.0)
@@ -103,7 +103,7 @@ class RewardOptions(Options):
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
-        """Refuse returns that no window is long enough for."""
+        """Refuse returns that are longer than a window."""
         if self.execute * self.returns > FUTURE_STEPS:
             raise ValueError(
                 f"execute × returns = {self.execute * self.returns}: the future of a window has {FUTURE_STEPS} steps"
@@ -112,12 +112,12 @@ class RewardOptions(Options):
 
 
 class SimnetOptions(Options):
-    """Closed-loop cloning, see ``training.simnet_stage``.
+    """Closed-loop behaviour cloning, see ``training.simnet_stage``.
 
     Attributes:
-        first_steps: model steps that are driven at the beginning of the training.
-        steps: and in the end.
-        growth_share: share of the training over which they grow.
+        first_steps: model steps of a rollout at the beginning of the training.
+        steps: model steps of a rollout at the end of the training.
+        growth_share: share of the training in which the number of steps grows.
     """
 
     first_steps: int = Field(2, ge=1, le=12)
@@ -126,16 +126,16 @@ class SimnetOptions(Options):
 
 
 class DecoderOptions(Options):
-    """The closed-loop decoder's own stage, see ``training.decoder_stage``.
+    """The stage of the closed-loop decoder, see ``training.decoder_stage``; weights are of the model's own samples.
 
     Attributes:
-        vehicles: weight of the overlap between bodies in the model's own samples.
-        road: weight of the overlap with the road's edge there.
-        anchor: weight of how far a sample strays from what the decoder begun with makes of the same latent, where
-            nothing is wrong with that.
-        lane: weight of the distance from the nearest lane that points the vehicle's way.
-        following: weight of too short a headway and of having to brake too hard.
-        progress: weight of the squared relative difference of the way driven from the log's, over a batch.
+        vehicles: weight of the overlap between vehicles.
+        road: weight of the overlap with the road edge.
+        anchor: weight of the difference from the initial decoder's future for the same latent, where that has no
+            penalty.
+        lane: weight of the lateral distance from the nearest lane in the vehicle's direction.
+        following: weight of too short a headway and too high a required deceleration.
+        progress: weight of the squared relative difference between driven distance and the log's, over a batch.
         sampling_steps: DDIM steps of the samples.
     """
 
@@ -149,14 +149,14 @@ class DecoderOptions(Options):
 
 
 class DenoiserOptions(Options):
-    """The denoiser's own stage, see ``training.denoiser_stage``.
+    """The stage of the denoiser, see ``training.denoiser_stage``.
 
     Attributes:
-        information: 0: all numbers of a latent count alike, as in the paper; 1: each by the information that the
-            posterior puts into it.
-        standing: what a vehicle that stands counts against one that drives.
-        samples: weight of a proper score of finished samples, so that few steps draw each number as often as the
-            posterior does; 0: none.
+        information: 0: all dimensions of a latent have the same weight, as in the paper; 1: each is weighted by its
+            information in the posterior.
+        standing: weight of a standing vehicle, relative to a driving one.
+        samples: weight of a proper score of finished samples, which trains sampling in few steps to match the
+            posterior's distribution; 0: none.
         sampling_steps: DDIM steps of these samples.
     """
 
@@ -171,27 +171,27 @@ class TrainOptions(Options):
 
     Attributes:
         epochs: passes over the training windows.
-        epoch_windows: how many of them a pass looks at, drawn anew for each; 0: all.
-        driven_share: share of those in which a model drove up to now (``data simulate --driven-by``); 0: as they come.
+        epoch_windows: windows of one epoch, drawn anew for each; 0: all.
+        driven_share: share of windows with a past driven by a model (``data simulate --driven-by``); 0: as in the data.
         batch_size: windows in a step.
-        learning_rate: of Adam, at its highest.
-        schedule: how it changes, see ``training.learning_rates``.
-        precision: of the networks' products; "bfloat16" for GPUs (weights, states and losses stay single precision).
-        compiled: let ``torch.compile`` fuse what a closed-loop decoder does at each step; for GPUs.
+        learning_rate: of Adam, its maximum.
+        schedule: of the learning rate, see ``training.learning_rates``.
+        precision: of matrix products; "bfloat16" for GPUs (weights, states and losses stay in single precision).
+        compiled: whether to use ``torch.compile`` for the steps of a closed-loop decoder; for GPUs.
         gradient_clip: largest norm of the gradient.
         ema_decay: of the moving average of the weights.
-        patience_epochs: epochs without progress on held-out windows after which it stops; 0: never.
-        max_agents: agents of a window that are looked at in training, those nearest to its focal one.
-        held_out: about what share of the drives is held out.
-        split_seed: which ones; the same in all stages, whatever their seed.
-        held_out_windows: most windows that an epoch's evaluation looks at.
-        checkpoint_minutes: time between two checkpoints within an epoch.
-        codec: space in which the diffusion works: "latent", or "trajectory", the paper's ablation traj2traj;
-            None: that of the weights begun with, latent for new ones.
-        diffusion_steps: K of the noise schedule, where the denoiser is new.
-        noise_schedule: its kind.
-        scale_windows: windows over which the diffused numbers are standardised.
-        model: sizes of the networks, where they are new.
+        patience_epochs: epochs without progress on held-out windows after which training stops; 0: never.
+        max_agents: agents of a window used in training, those nearest to its focal one.
+        held_out: approximate share of the drives that is held out.
+        split_seed: of the choice of held-out drives; independent of the training's seed, so that all stages agree.
+        held_out_windows: most windows of an epoch's evaluation.
+        checkpoint_minutes: time between checkpoints within an epoch.
+        codec: what is diffused: "latent", or "trajectory", the paper's ablation traj2traj; None: that of the initial
+            weights, latent for new ones.
+        diffusion_steps: K of the noise schedule of a new denoiser.
+        noise_schedule: kind of the noise schedule of a new denoiser.
+        scale_windows: windows from which the scale of the diffused numbers is computed.
+        model: sizes of new networks.
     """
 
     epochs: int = Field(200, ge=1)

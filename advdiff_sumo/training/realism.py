@@ -1,4 +1,4 @@
-"""How natural joint samples are: diversity, histograms, collisions, leaving the road."""
+"""Realism of joint samples: diversity, histograms of speed and acceleration, collisions, road departures."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def histograms(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (W, bins) counts of speeds and accelerations over the known instants of driving vehicles.
 
-    Accelerations are differences of speeds, for logs and models alike; the outermost bins take what lies beyond.
+    Accelerations are differences of speeds, for logs and models; values beyond the range count in the outermost bins.
 
     Args:
-        rollout: futures of W windows, each *times* in a row.
-        batch: the windows, repeated alike.
+        rollout: futures of W windows; those of one window are *times* successive rows.
+        batch: the windows, repeated in the same way.
         times: samples of each window.
     """
     driven = driving(batch)[..., None]
@@ -38,13 +38,13 @@ def histograms(
 
 
 def known_steps(batch: SceneBatch) -> Tensor:
-    """Return (B, A, T) the instants of the future that are known, as is the one before them."""
+    """Return (B, A, T) the instants of the future that are known and follow a known instant."""
     now = torch.ones_like(batch.future_valid[..., :1])
     return batch.future_valid & torch.cat((now, batch.future_valid[..., :-1]), dim=-1)
 
 
 def final_diversity(last: Tensor) -> Tensor:
-    """Return (B, A) of each vehicle the mean distance of final positions over pairs of samples; 0 of a single one.
+    """Return (B, A) the mean distance of final positions over pairs of samples; 0 with one sample.
 
     Args:
         last: (B, S, A, 2) final positions in S samples.
@@ -55,7 +55,7 @@ def final_diversity(last: Tensor) -> Tensor:
 
 
 def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
-    """Return how many of the driving vehicles collide, and leave the road, at instants *known* (B, A, T)."""
+    """Return tallies of driving vehicles that collide or leave the road at instants *known* (B, A, T)."""
     total = float(driving(batch).sum())
     return {
         "collision_rate": (float(colliding(rollout, batch, known).sum()), total),
@@ -64,12 +64,12 @@ def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
 
 
 def colliding(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:
-    """Return (B, A) driving vehicles whose box overlaps another one's at some instant; not if they do now.
+    """Return (B, A) driving vehicles whose box overlaps another one at some instant, but not now.
 
     Args:
         rollout: futures.
         batch: the scenes.
-        known: (B, A, T) instants at which an agent is there.
+        known: (B, A, T) instants at which an agent is present.
     """
     touch = _overlap(rollout.xy, rollout.yaw, batch.size) & known[:, :, None] & known[:, None]
     pose = batch.pose[:, :, None]

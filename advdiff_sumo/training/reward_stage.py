@@ -30,11 +30,11 @@ _CHOICES = 6
 
 
 class RewardStage(BundleStage):
-    """Trains Q alone.
+    """Trains only Q.
 
     Args:
         bundle: its reward model is trained in place, the rest is frozen.
-        options: discount, weights, sources.
+        options: discount, weights, sources of random actions.
     """
 
     name = "reward"
@@ -48,7 +48,7 @@ class RewardStage(BundleStage):
         self.options = options
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
-        """Return L_Q over the experiences that the windows give, with the mean value and rate of collisions."""
+        """Return L_Q over experiences from the windows, with the mean value and the rate of collisions."""
         experiences = list(from_logs(self.bundle, batch, self.options, moment.generator))
         terms = [
             q_loss(self.bundle, self._target, one, self.options, moment.generator) for one in experiences
@@ -71,11 +71,10 @@ class RewardStage(BundleStage):
         }
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Judge Q as a chooser among random actions by what each is worth when its plan is executed to its end.
+        """Measure how well Q ranks random actions by their rewards when their plans are executed to the end.
 
-        "regret" is how much the best action is worth more than the one that Q likes most, "chance" the same for
-        an action drawn at random, "td" the error of its values, "direction" 1 − cos of its gradient (1: it knows
-        nothing).
+        "regret": reward of the best action minus that of the action with the highest Q; "chance": the same for a
+        random action; "td": temporal-difference error; "direction": 1 − cos of its gradient (1: unrelated).
         """
         worth, liked, usable = self._choices(batch, generator)
         best = worth.amax(1)
@@ -97,11 +96,11 @@ class RewardStage(BundleStage):
         return tally
 
     def after_step(self) -> None:
-        """Let the target network follow."""
+        """Update the target network."""
         follow(self._target, self.bundle.reward, self.options.target_decay)
 
     def _choices(self, batch: SceneBatch, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Return worth and Q (B, 6) of random actions, and where (B,) the target's log is long enough."""
+        """Return rewards and Q (B, 6) of random actions, and where (B,) the target's log is long enough."""
         bundle, options = self.bundle, self.options
         stretches = batch.future.shape[2] // options.execute
         target, usable = pick_target(batch, stretches * options.execute, generator)
@@ -144,7 +143,7 @@ def best_value(
     candidates: int,
     generator: torch.Generator,
 ) -> Tensor:
-    """Return max over *candidates* latents of the prior of Q(s', ·), (B,)."""
+    """Return the maximum (B,) of Q(s', ·) over *candidates* samples of the prior."""
     state = network.prepare(after.h, after.prior.mean, experience.after, experience.target)
     values = [network.value_of(state, prior_action(bundle, after, generator)) for _ in range(candidates)]
     return torch.stack(values).amax(0)
@@ -152,6 +151,6 @@ def best_value(
 
 @torch.no_grad()
 def follow(target: nn.Module, source: nn.Module, decay: float) -> None:
-    """Move the weights of *target* towards those of *source*, keeping the share *decay*."""
+    """Move the weights of *target* towards those of *source*: decay · target + (1 − decay) · source."""
     for mine, theirs in zip(target.parameters(), source.parameters(), strict=True):
         mine.lerp_(theirs, 1.0 - decay)

@@ -1,4 +1,4 @@
-"""From options and files to a training that can run."""
+"""Prepares a training from options and files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from advdiff_sumo.training.simnet_stage import SimnetStage
 from advdiff_sumo.training.stage import BundleStage, Stage
 from advdiff_sumo.training.training_loop import TrainingJob
 
-#: Sizes of what a stage makes anew of a bundle, which may be other ones than those of the weights begun with.
+#: Sizes of the networks that a stage replaces in a bundle; they may differ from those of the initial weights.
 _NEW_PARTS: Mapping[str, frozenset[str]] = {
     "denoiser": frozenset({"denoiser_layers", "denoiser_situation", "channels"}),
     "situation": frozenset({"denoiser_situation"}),
@@ -52,19 +52,19 @@ _NEEDS: Mapping[StageName, tuple[StageName, ...]] = {
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What the user asked for.
+    """A training as requested by the user.
 
     Attributes:
-        stage: which stage.
-        data: window files and folders of them.
-        out: folder of everything that is written.
+        stage: name of the stage.
+        data: window files, and folders of window files.
+        out: folder of all results.
         options: hyper-parameters.
-        init: weights to begin with, or "shipped"; None: new ones, which only the stages "traffic" and "simnet" can do.
-        val: window files to judge on; none: some drives of the data are held out.
-        seed: of everything that is random.
+        init: initial weights, or "shipped"; None: new weights, which only the stages "traffic" and "simnet" allow.
+        val: window files for validation; none: some drives of *data* are held out.
+        seed: of all random numbers.
         device: "auto", "cpu" or "cuda".
         max_minutes: stop after that time.
-        loaders: processes that prepare batches; 0: none but this one.
+        loaders: processes that prepare batches; 0: this process does.
     """
 
     stage: StageName
@@ -98,7 +98,7 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
     bundle.to(device)
     if (
         plan.stage == "denoiser" and "denoiser" not in bundle.stages
-    ):  # one that is trained on keeps the scale that it knows
+    ):  # a denoiser trained before keeps its scale
         _measure(bundle, train, options, device)
     stage = _stage(plan.stage, bundle, options, begun)
     if options.compiled and isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
@@ -111,7 +111,7 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
 
 
 def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> TrainingJob:
-    """Return the training of SimNet, which takes a bundle's encoder and gives a file of its own."""
+    """Return the training of SimNet, which may start from a bundle's encoder, and has a file format of its own."""
     windows = read_window_set(plan.data)
     seed = SeedTree(plan.seed, ("weights",)).integer()
     init = None if plan.init is None else weights_file(plan.init)
@@ -171,10 +171,10 @@ def choose_device(name: str) -> torch.device:
 
 
 def _begun(plan: TrainingRequest) -> Bundle | None:
-    """Return the weights to begin with; None: new ones.
+    """Return the initial weights; None: new weights.
 
     Raises:
-        ConfigError: the stage needs earlier ones, which have not been trained.
+        ConfigError: the stage needs earlier stages, which have not been trained.
     """
     if plan.init is None:
         if _NEEDS[plan.stage]:
@@ -193,7 +193,7 @@ def _begun(plan: TrainingRequest) -> Bundle | None:
 
 
 def _bundle(plan: TrainingRequest, begun: Bundle | None, windows: WindowSet) -> Bundle:
-    """Return what is trained: new networks, or those *begun* as far as they fit, to see what *windows* show."""
+    """Return the networks to train: new ones, or the initial ones *begun*, fitted to the view of *windows*."""
     options, view = plan.options, windows.map_view
     wanted = BundleOptions(
         model=options.model.model_copy(update={"map_view": view}),
@@ -208,7 +208,7 @@ def _bundle(plan: TrainingRequest, begun: Bundle | None, windows: WindowSet) -> 
 
 
 def _known(options: BundleOptions) -> dict[str, Any]:
-    """Return the training's options that the networks decide, as they are of them."""
+    """Return the training options that the initial networks determine, with their values."""
     return {
         "model": options.model,
         "codec": options.codec,
@@ -218,7 +218,7 @@ def _known(options: BundleOptions) -> dict[str, Any]:
 
 
 def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
-    """Return *begun*, with a new denoiser where that is to work on something else; refuse what cannot be."""
+    """Return *begun*, with a new denoiser if another codec is wanted; refuse impossible combinations."""
     anew = _made_anew(plan, begun, wanted)
     asked = _asked_of_new_parts(plan, begun, anew)
     if anew != "denoiser":
@@ -247,7 +247,7 @@ def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows
 
 
 def _made_anew(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions) -> str:
-    """Return what the stage makes anew of *begun*: "decoder", "denoiser", at most its "situation", or nothing, ""."""
+    """Return the part of *begun* that the stage replaces: "decoder", "denoiser", only its "situation", or ""."""
     closing = plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
     if plan.stage == "decoder" or closing:
         return "decoder"
@@ -258,10 +258,10 @@ def _made_anew(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions) -> s
 
 
 def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
-    """Refuse another noise schedule than that of *begun*, whose denoiser stays.
+    """Refuse another noise schedule than that of *begun*, whose denoiser is kept.
 
     Raises:
-        ConfigError: one is asked for.
+        ConfigError: another schedule was requested.
     """
     known = _known(begun.options)
     for name in ("diffusion_steps", "noise_schedule"):
@@ -274,7 +274,7 @@ def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
 
 
 def _informed(plan: TrainingRequest, begun: Bundle) -> Bundle:
-    """Return *begun*, its denoiser with the parts that the plan asks for; new ones begin as nothing."""
+    """Return *begun* with the requested parts of the denoiser; outputs of new parts are initialised to 0."""
     if begun.options.model.denoiser_situation or not plan.options.model.denoiser_situation:
         return begun
     model = begun.options.model.model_copy(update={"denoiser_situation": True})
@@ -283,10 +283,10 @@ def _informed(plan: TrainingRequest, begun: Bundle) -> Bundle:
 
 
 def _asked_of_new_parts(plan: TrainingRequest, begun: Bundle, stage: str) -> dict[str, Any]:
-    """Return the sizes asked for of what *stage* makes anew.
+    """Return the requested sizes of the networks that *stage* replaces.
 
     Raises:
-        ConfigError: others are asked for than *begun* has, of what is not made anew.
+        ConfigError: sizes of other networks were requested that differ from those of *begun*.
     """
     free, model = _NEW_PARTS.get(stage, frozenset()), plan.options.model
     asked = {name: value for name, value in model if name in model.model_fields_set}
@@ -301,19 +301,19 @@ def _asked_of_new_parts(plan: TrainingRequest, begun: Bundle, stage: str) -> dic
 
 
 def _resized(model: ModelOptions, changed: Mapping[str, Any]) -> ModelOptions:
-    """Return *model* with what is *changed*, checked as a whole."""
+    """Return *model* with the options *changed*, validated."""
     return ModelOptions.model_validate(model.model_dump() | dict(changed))
 
 
 def with_closed_loop(
     begun: Bundle, seed: int, view: MapView | None = None, asked: Mapping[str, Any] = MappingProxyType({})
 ) -> Bundle:
-    """Return *begun* with a decoder that closes the loop; a new one gives the futures of the one before at first.
+    """Return *begun* with a closed-loop decoder, which at first gives the same futures as the decoder before.
 
     Args:
-        begun: networks; left as they are.
-        seed: of weights that are new.
-        view: how much of the map they shall see; None: as before.
+        begun: networks; not changed.
+        seed: of new weights.
+        view: view of the map; None: as before.
         asked: further options of the decoder.
     """
     changed = {**asked, "decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
@@ -322,7 +322,7 @@ def with_closed_loop(
 
 
 def _grown(begun: Bundle, options: BundleOptions, seed: int) -> Bundle:
-    """Return networks of *options* with the weights of *begun* where it has them; the others follow from *seed*."""
+    """Return networks of *options* with the weights of *begun*, and those it lacks from *seed*."""
     fresh = new_bundle(options, seed)
     for name, module in fresh.modules().items():
         module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})
@@ -330,7 +330,7 @@ def _grown(begun: Bundle, options: BundleOptions, seed: int) -> Bundle:
 
 
 def weights_file(path: Path) -> Path:
-    """Return the weights that *path* means: shipped ones by name, itself, or those in the folder of a training."""
+    """Return the weights file of *path*: the name of shipped weights, a file, or the folder of a training."""
     if path.is_dir():
         return path / WEIGHTS
     return find_weights("" if path == Path("shipped") and not path.exists() else str(path))
@@ -366,7 +366,7 @@ def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle
 
 
 def _stages(bundle: Bundle, name: StageName) -> tuple[str, ...]:
-    """Return the stages that weights have behind them once *name* is trained; later ones no longer fit."""
+    """Return the completed stages once *name* is trained; later stages no longer fit and are dropped."""
     earlier = STAGES[: STAGES.index(name)]
     return (*(stage for stage in bundle.stages if stage in earlier), name)
 

@@ -1,8 +1,8 @@
-"""Stage "simnet": behaviour cloning of single actions, unrolled in closed loop so that errors do not pile up.
+"""Stage "simnet": behaviour cloning of actions, unrolled in closed loop so that errors do not accumulate.
 
-Bergamini et al. 2021 (doi:10.1109/ICRA48506.2021.9561666) clone one step and perturb the past against drift. Here
-the clone drives as well: what it did is what it sees next, the error of every instant is paid, and gradients run
-back through its own motion. The stretch that it drives grows while it learns.
+Bergamini et al. 2021 (doi:10.1109/ICRA48506.2021.9561666) clone one step and perturb the past against drift. Here the
+loss is of a closed-loop rollout: each step starts from the predicted states, errors of all instants count, and
+gradients flow through the rollout. The number of steps grows during training.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class SimnetStage(Stage):
         self.beside: nn.Module = nn.Module()
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
-        """Return the error of driving the stretch that is due by now."""
+        """Return the error of a rollout with the present number of steps."""
         short = first_steps(batch, unrolled_steps(moment.progress, self.options))
         rollout = self.simnet(short, short.future.shape[2])
         return {"loss": known_mean(reconstruction(rollout, short), short)}
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:  # noqa: ARG002 - nothing is drawn
-        """Return the error over the whole future, displacements, and how often vehicles collide or leave the road."""
+        """Return the error over the whole future, displacement errors, collisions and road departures."""
         rollout: Rollout = self.simnet(batch)
         loss, scenes = float(known_mean(reconstruction(rollout, batch), batch)), float(batch.scenes)
         tally = displacement(rollout, batch)
@@ -61,12 +61,12 @@ class SimnetStage(Stage):
 
 
 def unrolled_steps(progress: float, options: SimnetOptions) -> int:
-    """Return how many steps are driven at *progress* (0 … 1) of the training."""
+    """Return the number of steps of a rollout at *progress* (0 … 1) of the training."""
     share = 1.0 if options.growth_share == 0.0 else min(progress / options.growth_share, 1.0)
     return round(options.first_steps + share * (options.steps - options.first_steps))
 
 
 def first_steps(batch: SceneBatch, steps: int) -> SceneBatch:
-    """Return the scenes with the first *steps* instants of their future."""
+    """Return the scenes with only the first *steps* instants of their future."""
     cut = slice(0, min(steps, FUTURE_STEPS))
     return replace(batch, future=batch.future[:, :, cut], future_valid=batch.future_valid[:, :, cut])

@@ -1,4 +1,4 @@
-"""What a stage of the training gives the loop."""
+"""The interface between training stages and the training loop."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 
 Tally = dict[str, tuple[float, float]]
-"""Name of a figure → its sum and its weight; figures of several batches are added, then divided."""
+"""Name of a figure → its sum and its weight, which are added over batches."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Where the training stands.
+    """Present step of a training.
 
     Attributes:
-        step: steps done, from 0.
+        step: finished steps.
         total: all steps of the training.
-        generator: the only source of chance in this step.
+        generator: of all random numbers of this step.
     """
 
     step: int
@@ -32,18 +32,18 @@ class Moment:
 
     @property
     def progress(self) -> float:
-        """Share of the training that is done, 0 … 1."""
+        """Finished share of the training, 0 … 1."""
         return min(self.step / max(self.total, 1), 1.0)
 
 
 class Stage(Protocol):
-    """One stage: what is trained, with which loss, and how it is judged.
+    """One stage: trained networks, loss and evaluation.
 
     Attributes:
         name: of ``presets.STAGES``.
-        monitor: figure of :meth:`evaluate` whose fall is progress.
-        module: what the optimiser changes and what the moving average covers.
-        beside: further state that a resumed run needs, such as a target network; empty for most.
+        monitor: figure of :meth:`evaluate` that decides which weights are best; lower is better.
+        module: whose weights are trained and averaged.
+        beside: further state to save in checkpoints, such as a target network; empty for most stages.
     """
 
     name: str
@@ -52,15 +52,15 @@ class Stage(Protocol):
     beside: nn.Module
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
-        """Return the terms; "loss" is the one that is differentiated."""
+        """Return the loss and figures to record; only "loss" is differentiated."""
         ...
 
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
-        """Judge a held-out batch, without gradients."""
+        """Evaluate a held-out batch, without gradients."""
         ...
 
     def after_step(self) -> None:
-        """Do what follows a step of the optimiser: mostly nothing."""
+        """Called after each step of the optimiser; by default, do nothing."""
         return
 
 
@@ -80,5 +80,5 @@ def add(total: Tally, more: Mapping[str, tuple[float, float]]) -> None:
 
 
 def means(tally: Tally) -> dict[str, float]:
-    """Return each figure's mean; figures without weight are left out."""
+    """Return the mean of each figure; figures without weight are left out."""
     return {name: value / weight for name, (value, weight) in tally.items() if weight > 0.0}

@@ -1,7 +1,7 @@
-"""The training loop: the same for every stage, resumable to the byte, with nothing random of its own.
+"""The training loop, the same for every stage; a resumed training gives the same bytes.
 
-Order, noise and jitter of a step follow from the seed and the number of the step alone, so a resumed training
-needs no state of a random generator.
+Order, noise and augmentation of a step depend only on the seed and the number of the step, so that checkpoints need no
+state of random generators.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
 _REDRAW_S = 30.0
 
 Tell = Callable[[TrainingProgress, int, dict[str, float]], None]
-"""Told after each step: where the training stands, batches in the epoch, means of the loss terms so far."""
+"""Called after each step with progress, number of batches in the epoch, and means of the loss terms so far."""
 
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """What is trained on what.
+    """All inputs of a training.
 
     Attributes:
         stage: the stage.
         options: its hyper-parameters.
-        train: windows to learn from.
-        held_out: windows to judge on.
-        out: folder of everything that is written.
-        seed: of order, noise and jitter.
-        device: where the tensors live.
-        source: hash of the data and of the weights begun with, kept in the checkpoint.
-        keep: writes the stage's weights, called when they are the best so far.
-        max_minutes: stop after that time, to be resumed; infinite: never.
-        loaders: processes that prepare batches beside the training; 0: none.
+        train: training windows.
+        held_out: validation windows.
+        out: folder of all results.
+        seed: of order, noise and augmentation.
+        device: of the tensors.
+        source: hash of the data and of the initial weights, kept in checkpoints.
+        keep: writes the stage's weights; called when they are the best so far.
+        max_minutes: stop after that time, to be resumed later; infinite: never.
+        loaders: processes that prepare batches; 0: this process does.
     """
 
     stage: Stage
@@ -89,18 +89,18 @@ class _Steps(Dataset[SceneBatch]):
 
 
 def _alone(_: int) -> None:
-    """Let a process that prepares batches use one thread, and leave Ctrl-C to the training."""
+    """Set up a process that prepares batches: one thread, and Ctrl-C is left to the training."""
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Trainer:
-    """A training that can be left and taken up again.
+    """A training that can be interrupted and resumed.
 
     Args:
-        job: what is trained on what.
+        job: inputs of the training.
         events: TensorBoard writer.
-        tell: told after each step.
+        tell: called after each step.
     """
 
     def __init__(self, job: TrainingJob, events: history.Events, tell: Tell) -> None:
@@ -128,7 +128,7 @@ class Trainer:
         self.total = self.per_epoch * options.epochs
 
     def resume(self) -> None:
-        """Take up the training in the job's folder.
+        """Resume the training in the job's folder.
 
         Raises:
             FileError: there is no checkpoint, or it is damaged.
@@ -143,14 +143,14 @@ class Trainer:
         self.progress = progress
 
     def run(self) -> TrainingProgress:
-        """Train to the end, or until there is no more progress, time or wish to go on.
+        """Train to the end, or until there is no more progress, the time is up, or the user stops it.
 
         Returns:
-            Where the training stands; ``done`` tells whether it has ended.
+            Progress of the training; ``done`` tells whether it has ended.
 
         Raises:
             TrainingError: a loss or gradient is not a number.
-            KeyboardInterrupt: the user wants to stop; all is saved.
+            KeyboardInterrupt: the user stopped it; everything is saved.
         """
         begun = time.monotonic()
         try:
@@ -174,7 +174,7 @@ class Trainer:
             self.save()
 
     def _epoch(self, begun: float, wish: StopRequest) -> bool:
-        """Go on with the epoch; False: left before its end."""
+        """Train the rest of the epoch; return False if stopped before its end."""
         progress, saved = self.progress, time.monotonic()
         limit_s, between_s = 60.0 * self.job.max_minutes, 60.0 * self.job.options.checkpoint_minutes
         order = self._order()
@@ -195,10 +195,10 @@ class Trainer:
         order = [numbers[batch] for batch in cut]
         if not options.compiled:
             return order
-        return [batch for batch in order if len(batch) == options.batch_size]  # of one shape
+        return [batch for batch in order if len(batch) == options.batch_size]  # all of the same shape
 
     def _batches(self, order: list[IntArray]) -> Iterator[SceneBatch]:
-        """Yield the epoch's batches that are left, on the CPU; what each one holds follows from its step alone."""
+        """Yield the remaining batches of the epoch, on the CPU; their contents depend only on the step."""
         job, first = self.job, self.progress.step
         steps = _Steps(job.train, job.options, self.tree, tuple(order), first)
         if not job.loaders:
@@ -242,7 +242,7 @@ class Trainer:
         return Moment(step, self.total, generator)
 
     def _judge(self) -> None:
-        """Evaluate the averaged weights, write what can be looked at, keep the weights if they are the best."""
+        """Evaluate the averaged weights, write records and curves, and keep the weights if they are the best."""
         progress, stage = self.progress, self.job.stage
         with self.ema.applied():
             held_out = means(evaluate(stage, self.job.held_out, self.job.options, self.job.device))
@@ -259,7 +259,7 @@ class Trainer:
         history.write_events(self.events, progress.history[-1])
 
     def _draw(self, age_s: float) -> None:
-        """Draw the curves, unless that was done less than *age_s* ago: it takes longer than some epochs."""
+        """Draw the curves, unless they were drawn less than *age_s* ago: this takes longer than some epochs."""
         if self.progress.history and time.monotonic() - self._drawn > age_s:
             history.draw_curves(self.job.out / "curves.png", self.job.stage.name, self.progress.history)
             self._drawn = time.monotonic()
@@ -285,7 +285,7 @@ class Trainer:
 
 @torch.no_grad()
 def evaluate(stage: Stage, windows: WindowSet, options: TrainOptions, device: torch.device) -> Tally:
-    """Judge *stage* on held-out windows, always on the same ones with the same noise."""
+    """Evaluate *stage* on held-out windows, always on the same ones with the same noise."""
     stage.module.eval()
     total: Tally = {}
     for number, numbers in enumerate(held_out_batches(windows, options)):
@@ -297,7 +297,7 @@ def evaluate(stage: Stage, windows: WindowSet, options: TrainOptions, device: to
 
 
 def held_out_batches(windows: WindowSet, options: TrainOptions) -> Iterator[IntArray]:
-    """Yield the held-out windows that an evaluation looks at: evenly taken, at most as many as asked for."""
+    """Yield batches of the held-out windows of an evaluation: evenly spaced, at most ``held_out_windows``."""
     count = min(len(windows), options.held_out_windows)
     chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
     for numbers in batches(windows.subset(chosen), max(options.batch_size, 16)):
@@ -318,7 +318,7 @@ def _finite(terms: dict[str, Tensor], progress: TrainingProgress) -> None:
 
 
 def _same(folder: Path, old: TrainingProgress, new: TrainingProgress) -> None:
-    """Refuse to go on with another stage, other options or other data."""
+    """Refuse to resume with another stage, other options or other data."""
     if old.stage != new.stage:
         raise ConfigError(f"{folder} holds a training of the stage '{old.stage}', not of '{new.stage}'")
     for name, value in new.options.items():

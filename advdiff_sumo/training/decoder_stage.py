@@ -80,7 +80,7 @@ class DecoderStage(BundleStage):
     def _latents(
         self, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[Context, tuple[Tensor, Tensor], Rollout]:
-        """Return context, latents (B, A, Z) of posterior and denoiser, and the initial decoder's futures of the latter."""
+        """Return context, latents (B, A, Z) of posterior and denoiser, and futures of the latter at the beginning."""
         traffic, codec = self.bundle.traffic, self.bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)

@@ -1,6 +1,6 @@
-"""What netconvert leaves out of a net or changes against the plan.
+"""Add to a written net what netconvert left out, and restore what it changed against the plan.
 
-Where each connection comes from, how long each way really is, and the shapes of lanes.
+These are the source of each connection, the true length of each internal lane, and the shapes of lanes.
 """
 
 from __future__ import annotations
@@ -18,36 +18,37 @@ from advdiff_sumo.maps.convert.polyline import shape_text
 
 CONNECTION = re.compile(
     r'(?P<indent>[ ]*)<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)"'
-    r' fromLane="(?P<leaves>\d+)" toLane="(?P<enters>\d+)"(?P<rest>[^>]*?)(?P<close>/>|>.*?</connection>)',
+    r' fromLane="(?P<from_lane>\d+)" toLane="(?P<to_lane>\d+)"(?P<rest>[^>]*?)(?P<close>/>|>.*?</connection>)',
     re.DOTALL,
 )
 INTERNAL = re.compile(
     r'(<lane id=":[^"]+_\d+_\d+" [^>]*?length=")(?P<length>[^"]*)("[^>]*? shape="(?P<shape>[^"]*)")'
 )
-SHORTEST_M = 0.1  # as netconvert has it
-SAME_M = 0.01
+SHORTEST_M = 0.1  # netconvert's smallest length of an internal lane
+SAME_M = 0.01  # ends that differ by no more are equal
 LANE = re.compile(r'(<lane id="(?P<id>[^"]+)"[^>]* shape=")(?P<shape>[^"]*)(")')
-WHOLE_WAY = re.compile(
+CONNECTION_VIA = re.compile(
     r'<connection from="([^":]+)" to="([^"]+)" fromLane="(\d+)" toLane="(\d+)"[^>]* via="(?P<via>[^"]+)"'
 )
+# An internal lane that leads into another internal lane.
 DIVIDED = re.compile(r'<connection from="(:[^"]+)"[^>]* via="')
 
 
 def annotate_net(net: Path, plan: NetPlan) -> None:
-    """Write ``source`` into each connection of *net*, and the length of its own shape into each internal lane.
+    """Write the parameter ``source`` into each connection of *net*, and the true length into each internal lane.
 
-    netconvert keeps no parameters of connections and gives all lanes of one internal edge their mean length.
+    netconvert drops the parameters of connections and gives all lanes of one internal edge their mean length.
     """
     text = net.read_text(encoding="utf-8")
 
     def with_source(match: re.Match[str]) -> str:
-        key = (match["origin"], int(match["leaves"]), match["target"], int(match["enters"]))
-        way = plan.way_of.get(key)
-        if way is None or not way.source:
+        key = (match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"]))
+        connection = plan.connection_of.get(key)
+        if connection is None or not connection.source:
             return match[0]
         start = match[0][: match.start("close") - match.start()]
         indent = match["indent"]
-        param = f'{indent}    <param key="source" value={quoteattr(way.source)}/>\n'
+        param = f'{indent}    <param key="source" value={quoteattr(connection.source)}/>\n'
         return f"{start}>\n{param}{indent}</connection>"
 
     text = CONNECTION.sub(with_source, text)
@@ -62,13 +63,12 @@ def _with_true_length(match: re.Match[str]) -> str:
 
 
 def restore_shapes(net: Path, plan: NetPlan) -> int:
-    """Give each lane of *net* the shape that *plan* gives it; return how many had been moved at an end.
+    """Give each lane of *net* the shape that it has in *plan*; return how many lanes netconvert had moved at an end.
 
-    netconvert leaves out points some centimetres from the one before.
-
-    A lane that begins inside its own junction and leaves it across another lane has no place where netconvert
-    would leave it alone, whatever the junction's shape; the ways from and to it move along with it. Ways that a
-    waiting place divides have two internal lanes and are left as they are.
+    netconvert changes shapes in two ways. It drops points that lie some centimetres from the one before. It moves the
+    end of a lane that begins inside its own junction and leaves it across another lane, whatever the junction's
+    shape; the connections from and to this lane move with it. Connections that a waiting position divides have two
+    internal lanes and are not restored.
     """
     text = net.read_text(encoding="utf-8")
     planned = {
@@ -91,14 +91,14 @@ def restore_shapes(net: Path, plan: NetPlan) -> int:
 
 
 def _internal_shapes(text: str, plan: NetPlan) -> dict[str, FloatArray]:
-    """Return the planned shape of each internal lane that holds a whole way."""
+    """Return the planned shape of each internal lane that holds a whole connection."""
     divided = set(DIVIDED.findall(text))
     shapes: dict[str, FloatArray] = {}
-    for match in WHOLE_WAY.finditer(text):
-        origin, target, leaves, enters, via = match.groups()
-        way = plan.way_of.get((origin, int(leaves), target, int(enters)))
-        if way is not None and via.rpartition("_")[0] not in divided:
-            shapes[via] = way.shape_m
+    for match in CONNECTION_VIA.finditer(text):
+        origin, target, from_lane, to_lane, via = match.groups()
+        connection = plan.connection_of.get((origin, int(from_lane), target, int(to_lane)))
+        if connection is not None and via.rpartition("_")[0] not in divided:
+            shapes[via] = connection.shape_m
     return shapes
 
 

@@ -1,4 +1,4 @@
-"""Who goes first: signals, stop signs and yield signs of the source, or a guess where it has none."""
+"""Set right of way and signals of a net: from the source's lights and signs, or guessed where it has none."""
 
 from __future__ import annotations
 
@@ -15,16 +15,25 @@ from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, Signal, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import with_stop_offsets
 
-GUESS_APPROACHES, GUESS_LANES = 3, 4  # junctions at least so large get guessed signals
-MAJOR, MINOR = 10, 1  # edge priorities: without and with a stop or yield sign
+GUESS_APPROACHES = 3  # smallest number of approaches of a junction that gets guessed signals
+GUESS_LANES = 4  # smallest number of their lanes together
+MAJOR = 10  # priority of an edge without a stop or yield sign
+MINOR = 1  # priority of an edge with one
 
 
 @dataclass(frozen=True)
 class Control:
-    """Approaches of each kind, by edge; *idle* are the lights that stop nobody.
+    """Signals and signs at the ends of edges.
 
-    *tokens* name the lights of each edge; *lamps* are those of the lights, where the source tells them.
-    *lines* are the areas of their stop lines; those before a crossing on foot say where to stop, not who yields.
+    Attributes:
+        lights: edges that end at a traffic light.
+        stops: edges that end at a stop sign.
+        yields: edges that end at a yield sign.
+        idle: tokens of the traffic lights that stop no edge.
+        lines: areas of the stop lines of each edge. Lines before a pedestrian crossing are among them; they set
+            where vehicles stop, but not who yields.
+        lamps: lamps of the lights of each edge, if the source lists them.
+        tokens: names of the lights of each edge.
     """
 
     lights: frozenset[str]
@@ -37,32 +46,37 @@ class Control:
 
 
 def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPlan:
-    """Return *plan* with junction kinds and edge priorities set.
+    """Return *plan* with junction kinds, edge priorities and stop offsets set.
 
-    A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way
-    stop, on some of them (and yield signs) those approaches yield. With *guess_signals* junctions of at least
-    three approaches with four lanes, whose ways cross, are signalled too, but for those of roundabouts; so are those
-    with ways that run along each other for long. Vehicles stop where the stop lines lie.
+    A junction with a light on one of its approaches is signalled. Stop signs on all approaches make an all-way stop.
+    Otherwise approaches with a stop or yield sign yield. With *guess_signals*, other junctions in which two
+    connections cross are signalled too, except those of roundabouts, if they are large (at least three approaches
+    with four lanes together) or if two of their connections run close to each other over a long distance. Vehicles
+    stop at the stop lines.
     """
-    control = _read(plan, source)
+    control = _read_control(plan, source)
     approaches: dict[str, list[EdgePlan]] = defaultdict(list)
     for edge in plan.edges:
         approaches[edge.target].append(edge)
     rings = find_rings(plan)
-    round_about = {name for ring in rings for name in ring.junctions}
-    crossing = _crossing(plan) - round_about if guess_signals else set()
-    apart = long_conflicts(plan)
-    long = junctions_of(apart, plan)
+    roundabout_junctions = {name for ring in rings for name in ring.junctions}
+    guessable = _crossing_junctions(plan) - roundabout_junctions if guess_signals else set()
+    long_pairs = long_conflicts(plan)
+    long_conflict_junctions = junctions_of(long_pairs, plan)
     kinds = {
         name: _kind([edge.id for edge in edges], control)
-        or ("traffic_light" if name in crossing and (_is_large(edges) or name in long) else None)
+        or (
+            "traffic_light"
+            if name in guessable and (_is_large(edges) or name in long_conflict_junctions)
+            else None
+        )
         for name, edges in approaches.items()
     }
-    minor = control.stops | control.yields
+    minor_edges = control.stops | control.yields
     return replace(
         plan,
         edges=with_stop_offsets(
-            (replace(edge, priority=MINOR if edge.id in minor else MAJOR) for edge in plan.edges),
+            (replace(edge, priority=MINOR if edge.id in minor_edges else MAJOR) for edge in plan.edges),
             control.lines,
         ),
         junctions=tuple(
@@ -72,12 +86,12 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
         idle_signals=control.idle,
         lamps=control.lamps,
         lights=control.tokens,
-        apart=frozenset(apart),
+        long_conflicts=frozenset(long_pairs),
     )
 
 
-def _read(plan: NetPlan, source: SourceMap) -> Control:
-    """Return which edges end at a light, a stop sign or a yield sign, and the lights that stop nobody."""
+def _read_control(plan: NetPlan, source: SourceMap) -> Control:
+    """Return which edges of *plan* end at a light, a stop sign, a yield sign or a stop line of *source*."""
     approaches = Approaches(plan)
     edges: dict[str, set[str]] = {"light": set(), "stop": set(), "yield": set(), "crossing": set()}
     idle = []
@@ -105,19 +119,21 @@ def _read(plan: NetPlan, source: SourceMap) -> Control:
 
 
 def _stopped_lanes(signal: Signal, source: SourceMap) -> tuple[list[int], list[int]]:
-    """Return the road lanes that *signal* names, and those that lead into the connectors that it names, by number.
+    """Return the numbers of the road lanes that *signal* names, and of the road lanes before the lanes that it names.
 
-    A light before a junction may name the connectors behind it; it does not stop at their ends. Where no road lane
-    leads into them, they are returned themselves.
+    A light before a junction may name the connectors behind it, but does not stop vehicles at their ends. So the lanes
+    that lead into these connectors matter. If no road lane leads into a named lane, the second list holds the named
+    lanes themselves.
     """
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
     named = [number[token] for token in signal.lanes if token in number]
-    road = [lane for lane in named if not source.lanes[lane].is_connector]
+    road_lanes = [lane for lane in named if not source.lanes[lane].is_connector]
     before = [number[a] for a, b in source.links if a in number and b in signal.lanes]
-    return road, [lane for lane in before if not source.lanes[lane].is_connector] or named
+    return road_lanes, [lane for lane in before if not source.lanes[lane].is_connector] or named
 
 
 def _sign(kind: str) -> str | None:
+    """Return what a stop line of the source's *kind* belongs to: light, stop, yield or crossing; else None."""
     kind = kind.upper()
     if "TRAFFIC_LIGHT" in kind:
         return "light"
@@ -125,6 +141,7 @@ def _sign(kind: str) -> str | None:
 
 
 def _kind(edges: list[str], control: Control) -> str | None:
+    """Return SUMO's type of a junction with approaches *edges*; None if no light or stop sign sets it."""
     if control.lights & set(edges):
         return "traffic_light"
     if len(edges) > 1 and set(edges) <= control.stops:
@@ -136,12 +153,14 @@ def _is_large(edges: list[EdgePlan]) -> bool:
     return len(edges) >= GUESS_APPROACHES and sum(len(edge.lanes) for edge in edges) >= GUESS_LANES
 
 
-def _crossing(plan: NetPlan) -> set[str]:
-    """Return the junctions in which two ways cross."""
+def _crossing_junctions(plan: NetPlan) -> set[str]:
+    """Return the junctions in which two connections cross."""
     target = {edge.id: edge.target for edge in plan.edges}
     lines: dict[str, list[shapely.LineString]] = defaultdict(list)
     for connection in plan.connections:
         lines[target[connection.origin[0]]].append(shapely.LineString(connection.shape_m))
     return {
-        name for name, own in lines.items() if len(shapely.STRtree(own).query(own, predicate="crosses")[0])
+        name
+        for name, inner in lines.items()
+        if len(shapely.STRtree(inner).query(inner, predicate="crosses")[0])
     }

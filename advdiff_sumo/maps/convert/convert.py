@@ -1,4 +1,4 @@
-"""An HD map of any format that is read → SUMO net, side-car and figures."""
+"""Convert an HD map of any supported format to a SUMO net and its side-car file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from advdiff_sumo.maps.convert.osm.import_streets import PREFIX as STREET_PREFIX
 from advdiff_sumo.maps.convert.plain_xml import write_plain_xml
 from advdiff_sumo.maps.convert.projection import projection_of
 from advdiff_sumo.maps.convert.repair import repair
-from advdiff_sumo.maps.convert.rim import ReturnEdge, put_aside, return_edges
+from advdiff_sumo.maps.convert.rim import ReturnEdge, move_return_edges, return_edges
 from advdiff_sumo.maps.convert.side_of_road import with_side_of_the_road
 from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.programs import write_programs
@@ -43,28 +43,29 @@ from advdiff_sumo.maps.convert.widths import width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths, add_foot_paths
 
-SPEED_MPS = {True: 13.89, False: 11.18}  # by driving on the left: 50 km/h in Singapore, 25 mph in Boston
+# Default speed limit by left-hand traffic: 50 km/h (Singapore) if true, 25 mph (Boston) if false.
+SPEED_MPS = {True: 13.89, False: 11.18}
 Crossings: TypeAlias = Literal["map", "guess", "none"]
-"""Crossings of the map; those, or guessed ones where it has none; no crossings."""
+"""Pedestrian crossings: those of the map; those, or guessed ones where the map has none; none at all."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConversionResult:
-    """What a conversion made.
+    """Result of a conversion.
 
     Attributes:
-        net: the SUMO net.
-        sidecar: polygons beside it.
+        net: path of the SUMO net.
+        sidecar: path of the polygons that belong to it.
         given: the map as read.
         source: the map after repair.
-        tracks: its lanes and connectors with everything measured on them.
+        tracks: its lanes and connectors with their measured widths and speed limits.
         layout: which parts of them became edge lanes.
         plan: the net as planned.
-        doubles: ways that SUMO cannot hold beside another one between the same two lanes.
-        counts: everything mended, cut or left out.
+        doubles: connections left out because SUMO holds only one between the same two lanes.
+        counts: how many items of each kind were repaired, cut or left out.
         netconvert_warnings: netconvert's own warnings.
-        foot_paths: what became of the crossings; None where none were wanted.
-        streets: streets beyond the rim; None where none were wanted.
+        foot_paths: which crossings the net got; None if none were requested.
+        streets: OpenStreetMap streets beyond the rim of the map; None if none were requested.
     """
 
     net: Path
@@ -94,11 +95,11 @@ def convert_map(
 
     Args:
         map_json: nuScenes map expansion v1.3.
-        out_net: net to be written, NAME.net.xml.
-        lefthand: whether traffic keeps left; None: as the map, its place or its lanes say.
-        guess_signals: put signals at large junctions where the map has none.
+        out_net: path of the net to write, NAME.net.xml.
+        lefthand: whether traffic keeps left; None: derived from the map, its location or its lanes.
+        guess_signals: add signals at large junctions if the map has none.
         opendrive: also write NAME.xodr.
-        crossings: which crossings the net gets, with sidewalks between them.
+        crossings: which pedestrian crossings the net gets, with sidewalks between them.
 
     Raises:
         MapError: the map cannot be used.
@@ -127,41 +128,41 @@ def convert_source(
     crossings: Crossings = "map",
     cycle_for: int = 0,
 ) -> ConversionResult:
-    """Convert a map already read; see :func:`convert_map`.
+    """Convert a map that is already read; see :func:`convert_map` for the other arguments and errors.
 
-    With *osm*, an OpenStreetMap extract, its streets lead on where the map ends (:mod:`.osm.add_streets`). With
-    *close_rim*, return edges beside the map lead from where it then ends to where it begins (:mod:`.rim`). With
-    *cycle_for*, signals have fixed times for so many vehicles in the hour (:mod:`.signals.fixed_times`).
+    *osm* is an OpenStreetMap extract whose streets continue the map beyond its rim (:mod:`.osm.add_streets`). With
+    *close_rim*, return edges beside the map then join its exits to its entries (:mod:`.rim`). *cycle_for* is the number
+    of vehicles per hour for which signals get fixed times (:mod:`.signals.fixed_times`); 0: no fixed times.
     """
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))
     if lefthand is None:
         source = with_side_of_the_road(source)
-    left = source.keeps_left if lefthand is None else lefthand
-    tracks = measure_tracks(source, SPEED_MPS[left])
-    layout = _laid_out(source, tracks, crossings)
+    keeps_left = source.keeps_left if lefthand is None else lefthand
+    tracks = measure_tracks(source, SPEED_MPS[keeps_left])
+    layout = _make_layout(source, tracks, crossings)
     layout.counts["lanes without usable width, made 3.5 m wide"] = sum(
         not track.lane.is_connector and not len(track.widths) for track in tracks
     )
-    ways, doubles = find_connections(layout)
-    plan = with_control(plan_drivable(tracks, layout, ways, left), source, guess_signals)
-    source = _with_idle_signals(source, plan)
+    connections, doubles = find_connections(layout)
+    plan = with_control(plan_drivable(tracks, layout, connections, keeps_left), source, guess_signals)
+    source = _with_idle_signal_warning(source, plan)
     make_folder(out_net.parent, "choose another output path")
-    joined, beyond = _beyond(plan, source, osm, close_rim, layout.counts)
-    waiting = [*waiting_turns(plan, source), *beyond.streets.first_to_go]
-    warnings = _build(joined, source, out_net, layout.counts, beyond, waiting)
+    extended_plan, extension = _extend_rim(plan, source, osm, close_rim, layout.counts)
+    prohibitions = [*waiting_turns(plan, source), *extension.streets.first_to_go]
+    warnings = _write_net(extended_plan, source, out_net, layout.counts, extension, prohibitions)
     if opendrive:
         _write_opendrive(plan, source, out_net)
-    layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, joined)
-    if beyond.returns:
-        put_aside(out_net, plan, beyond.returns)
+    layout.counts["lane shapes put back after netconvert"] = restore_shapes(out_net, extended_plan)
+    if extension.returns:
+        move_return_edges(out_net, plan, extension.returns)
     annotate_net(out_net, plan)
-    layout.counts["pairs of ways with stated conflicts"] = write_conflicts(out_net, joined)
+    layout.counts["pairs of ways with stated conflicts"] = write_conflicts(out_net, extended_plan)
     write_programs(out_net, plan)
     if cycle_for:
         layout.counts["signals timed for traffic"] = set_fixed_times(out_net, cycle_for)
-    foot_paths = _foot_paths(out_net, source, crossings)
+    foot_paths = _add_foot_paths(out_net, source, crossings)
     write_sidecar(source, sidecar_path(out_net))
     return ConversionResult(
         out_net,
@@ -175,39 +176,39 @@ def convert_source(
         source.notes + layout.counts,
         warnings,
         foot_paths,
-        beyond.streets if osm is not None else None,
+        extension.streets if osm is not None else None,
     )
 
 
 def _write_opendrive(plan: NetPlan, source: SourceMap, out_net: Path) -> None:
-    """Write the map beside *out_net* as OpenDRIVE."""
+    """Write the planned net as OpenDRIVE into the folder of *out_net*."""
     xodr = out_net.with_name(out_net.name.removesuffix(".net.xml") + ".xodr")
     write_opendrive(plan, xodr, source.location, source.projection)
 
 
 @dataclass(frozen=True, eq=False)
-class _Beyond:
-    """What lies beyond the rim of a map."""
+class _RimExtension:
+    """Return edges and streets beyond the rim of a map."""
 
     returns: tuple[ReturnEdge, ...]
     streets: Streets
 
 
-def _beyond(
+def _extend_rim(
     plan: NetPlan, source: SourceMap, osm: Path | None, close_rim: bool, counts: Counter[str]
-) -> tuple[NetPlan, _Beyond]:
-    """Return *plan* with what is beyond its rim joined to it, and that."""
-    joined, streets = plan, NO_STREETS
+) -> tuple[NetPlan, _RimExtension]:
+    """Return *plan* with its rim joined to the streets of *osm*, and the streets and return edges beyond the rim."""
+    extended_plan, streets = plan, NO_STREETS
     if osm is not None:
-        joined, streets = add_streets(plan, source.drivable, osm, source.projection)
-    returns, left_open = return_edges(joined, streets.following) if close_rim else ((), [])
+        extended_plan, streets = add_streets(plan, source.drivable, osm, source.projection)
+    returns, left_open = return_edges(extended_plan, streets.following) if close_rim else ((), [])
     counts["return edges beyond the rim"] = len(returns)
     counts["beginnings on other lanes, without return edge"] = len(left_open)
-    return joined, _Beyond(returns, streets)
+    return extended_plan, _RimExtension(returns, streets)
 
 
-def _laid_out(source: SourceMap, tracks: list[Track], crossings: Crossings) -> Layout:
-    """Return the pieces of edges and junctions that *tracks* fall into, cut where crossings shall lie."""
+def _make_layout(source: SourceMap, tracks: list[Track], crossings: Crossings) -> Layout:
+    """Divide *tracks* into edges and junctions; cut edges at pedestrian crossings unless *crossings* is "none"."""
     lines = [track.centre_m for track in tracks]
     connectors = [track.lane.is_connector for track in tracks]
     neighbours = neighbours_of(tracks, dashed_pairs(source))
@@ -217,8 +218,8 @@ def _laid_out(source: SourceMap, tracks: list[Track], crossings: Crossings) -> L
     return layout
 
 
-def _foot_paths(net: Path, source: SourceMap, crossings: Crossings) -> FootPaths | None:
-    """Write the crossings of *source*, or guessed ones, into *net*."""
+def _add_foot_paths(net: Path, source: SourceMap, crossings: Crossings) -> FootPaths | None:
+    """Write the pedestrian crossings of *source*, or guessed ones, into *net*; do nothing if *crossings* is "none"."""
     if crossings == "none":
         return None
     return add_foot_paths(
@@ -230,8 +231,8 @@ def _foot_paths(net: Path, source: SourceMap, crossings: Crossings) -> FootPaths
     )
 
 
-def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
-    """Name the lights that stop nobody."""
+def _with_idle_signal_warning(source: SourceMap, plan: NetPlan) -> SourceMap:
+    """Return *source* with a warning that names the traffic lights that stop no lane, if there are any."""
     if not plan.idle_signals:
         return source
     names = ", ".join(repr(token) for token in plan.idle_signals)
@@ -241,71 +242,79 @@ def _with_idle_signals(source: SourceMap, plan: NetPlan) -> SourceMap:
     return replace(source, warnings=(*source.warnings, sentence + names))
 
 
-def _build(
+def _write_net(
     plan: NetPlan,
     source: SourceMap,
     out_net: Path,
     counts: Counter[str],
-    beyond: _Beyond,
-    waiting: list[tuple[Ends, Ends]],
+    extension: _RimExtension,
+    prohibitions: list[tuple[Ends, Ends]],
 ) -> tuple[str, ...]:
-    """Write the net; a second time where netconvert lets ways go together that are too near each other.
+    """Write the net with netconvert and return netconvert's warnings.
 
-    *waiting* tells ways of which the second waits for the first in any case.
+    If netconvert misses conflicts between connections that run too close to each other, the net is written again
+    with a prohibition for each of them. *prohibitions* are pairs of connections of which the second always yields
+    to the first.
     """
     with tempfile.TemporaryDirectory() as folder:
 
-        def build(prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
+        def write(all_prohibitions: list[tuple[Ends, Ends]]) -> tuple[str, ...]:
             files = write_plain_xml(
                 plan,
                 Path(folder),
                 source.location,
                 source.projection,
-                prohibitions,
-                beyond.returns,
-                beyond.streets.rows,
+                all_prohibitions,
+                extension.returns,
+                extension.streets.rows,
             )
             warnings = run_netconvert(files, out_net, lefthand=plan.lefthand)
             return tuple(line for line in warnings if f"'{STREET_PREFIX}" not in line)
 
-        warnings = build(waiting)
+        warnings = write(prohibitions)
         unseen = unseen_conflicts(plan, out_net)
         counts["conflicts in junctions added to netconvert's"] = len(unseen)
-        settled = {frozenset(pair) for pair in waiting}
-        added = [pair for pair in unseen if frozenset(pair) not in settled]
-        return build(waiting + added) if added else warnings
+        given_pairs = {frozenset(pair) for pair in prohibitions}
+        added = [pair for pair in unseen if frozenset(pair) not in given_pairs]
+        return write(prohibitions + added) if added else warnings
 
 
 def measure_tracks(source: SourceMap, default_speed_mps: float) -> list[Track]:
-    """Return the lanes of *source* with widths measured and speeds filled in."""
+    """Return the lanes of *source* with measured widths; lanes without a speed limit get *default_speed_mps*."""
     return [
         Track(
             lane,
             lane.centre_m,
-            _widths(lane),
+            _width_profile(lane),
             lane.speed_mps if lane.speed_mps is not None else default_speed_mps,
         )
         for lane in source.lanes
     ]
 
 
-def _widths(lane: SourceLane) -> FloatArray:
-    """Return the width profile of *lane*: as stated, else as measured on its polygon."""
+def _width_profile(lane: SourceLane) -> FloatArray:
+    """Return rows (K, 2) of arc length and width of *lane* in m: as stated, else as measured on its polygon."""
     if lane.width_m is not None:
         return np.array([[0.5 * line_length_m(lane.centre_m), lane.width_m]])
     return width_profile(lane.centre_m, lane.polygon)
 
 
 def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[SideBySide]:
-    """Return the pairs of road lanes (no connectors) that run side by side; *dashed* share a divider."""
-    road = [number for number, track in enumerate(tracks) if not track.lane.is_connector]
-    widths = [tracks[n].width_m for n in road]
-    index = {number: position for position, number in enumerate(road)}
+    """Return the pairs of road lanes (not connectors) that run side by side.
+
+    Args:
+        tracks: lanes and connectors.
+        dashed: (left, right) lane numbers of pairs that share a dashed divider.
+    """
+    road_lanes = [number for number, track in enumerate(tracks) if not track.lane.is_connector]
+    widths = [tracks[n].width_m for n in road_lanes]
+    index = {number: position for position, number in enumerate(road_lanes)}
     known = {(index[a], index[b]) for a, b in dashed if a in index and b in index}
-    pairs = find_side_by_side([tracks[n].centre_m for n in road], widths, known)
-    return [SideBySide(road[p.left], road[p.right], p.left_m, p.right_m) for p in pairs]
+    pairs = find_side_by_side([tracks[n].centre_m for n in road_lanes], widths, known)
+    return [SideBySide(road_lanes[p.left], road_lanes[p.right], p.left_m, p.right_m) for p in pairs]
 
 
 def _numbered_links(source: SourceMap) -> list[tuple[int, int]]:
+    """Return the links of *source* as pairs of lane numbers."""
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
     return [(number[a], number[b]) for a, b in source.links]

@@ -1,4 +1,4 @@
-"""Where a clipped map begins on lanes of its own: whoever came in there would stand in others' way."""
+"""Find entries of a clipped map that lie on other lanes, where an entering vehicle would block traffic."""
 
 from __future__ import annotations
 
@@ -15,26 +15,30 @@ from advdiff_sumo.maps.convert.netplan import NetPlan
 
 
 def blocked_entries(plan: NetPlan, names: Iterable[str]) -> list[str]:
-    """Return those of the edges *names*, which nothing leads to, behind whose beginnings others drive.
+    """Return those of the edges *names* at whose beginning an entering car would stand on another lane.
 
-    A car that enters such an edge has its body on lanes or ways from which it is not 2.2 m away, in a junction that
-    does not know of it, so that nobody yields.
+    The body of an entering car still lies behind the beginning of the edge. There it may be less than 2.2 m away from
+    other lanes or connections. Their junction has no connection for this car, so no vehicle yields to it.
+
+    Args:
+        plan: the planned net.
+        names: edges that no connection leads to.
     """
     edges = {edge.id: edge for edge in plan.edges}
     lanes = [({edge.id}, lane.shape_m) for edge in plan.edges for lane in edge.lanes]
-    ways = [({way.origin[0], way.target[0]}, way.shape_m) for way in plan.connections]
-    owners = [owner for owner, _ in (*lanes, *ways)]
-    tree = shapely.STRtree([LineString(line) for _, line in (*lanes, *ways)])
+    connections = [({c.origin[0], c.target[0]}, c.shape_m) for c in plan.connections]
+    owners = [owner for owner, _ in (*lanes, *connections)]
+    tree = shapely.STRtree([LineString(line) for _, line in (*lanes, *connections)])
 
-    def blocked(name: str) -> bool:
-        bodies = [_body(lane.shape_m) for lane in edges[name].lanes]
+    def is_blocked(name: str) -> bool:
+        bodies = [_entering_body(lane.shape_m) for lane in edges[name].lanes]
         near = np.unique(tree.query(bodies, predicate="dwithin", distance=BODIES_M)[1])
         return any(name not in owners[number] for number in near.tolist())
 
-    return [name for name in names if blocked(name)]
+    return [name for name in names if is_blocked(name)]
 
 
-def _body(lane_m: FloatArray) -> LineString:
-    """Return where a car and its gap are when it begins to drive on a lane (N, 2)."""
+def _entering_body(lane_m: FloatArray) -> LineString:
+    """Return the line that a car and its standing gap occupy when its front enters a lane (N, 2)."""
     start, after = lane_m[:2]
     return LineString([start, start - ROOM_M * (after - start) / np.hypot(*(after - start))])

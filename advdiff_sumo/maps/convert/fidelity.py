@@ -1,4 +1,4 @@
-"""How well a written net holds the map that it was made from."""
+"""Measure how well a written net reproduces the map that it was made from."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from advdiff_sumo.maps.convert.signals.programs import never_red
 from advdiff_sumo.maps.convert.widths import width_between
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths
 
-STEP_M = 0.5
+STEP_M = 0.5  # distance between the points at which lines are compared
 
 
 @dataclass(frozen=True)
 class Fidelity:
-    """All figures, ready for JSON; lengths in m.
+    """All figures of a conversion; lengths in m.
 
     Attributes:
-        location: name of the place, as driving logs have it.
-        figures: nested plain values by topic.
+        location: name of the place, as in driving logs.
+        figures: nested plain values by topic, ready for JSON.
     """
 
     location: str
@@ -46,7 +46,7 @@ class Fidelity:
 
 
 def measure(result: ConversionResult) -> Fidelity:
-    """Return the figures of a conversion, measured on the net as netconvert wrote it."""
+    """Measure a conversion on the net as netconvert wrote it and return all figures."""
     net = read_net(result.net)
     lines = _lines_by_lane(result, net)
     lengths = {edge.id: edge.length_m for edge in result.plan.edges}
@@ -78,8 +78,8 @@ def measure(result: ConversionResult) -> Fidelity:
 
 
 def _streets(streets: Streets, net: WrittenNet, length_m: Mapping[str, float]) -> dict[str, Any]:
-    """Return where streets of OpenStreetMap lead on from the map, and what of it is connected without them."""
-    alone = {
+    """Return how many OpenStreetMap streets join the map, and how well the map's edges are connected without them."""
+    in_map = {
         name: [n for n in after if n in length_m]
         for name, after in net.next_edges.items()
         if name in length_m
@@ -90,19 +90,19 @@ def _streets(streets: Streets, net: WrittenNet, length_m: Mapping[str, float]) -
         "ends_without_street": streets.open_ends,
         "streets": streets.edges,
         "km": round(streets.km, 2),
-        "largest_part_share_of_length_without": routability(alone, length_m)["largest_part_share_of_length"],
+        "largest_part_share_of_length_without": routability(in_map, length_m)["largest_part_share_of_length"],
     }
 
 
 def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[FloatArray]]:
-    """Return what the net draws of each source lane: edge lanes and the ways that run on it."""
+    """Return the lines (N, 2) that represent each source lane in the net: edge lanes and connections on it."""
     lines: dict[int, list[FloatArray]] = defaultdict(list)
     for piece, key in result.plan.lane_of.items():
         if key in net.lanes:
             lines[piece.lane].append(net.lanes[key][0])
     for connection in result.plan.connections:
-        written = net.ways.get((*connection.origin, *connection.target))
-        for lane in {part.lane for part in connection.way.parts} if written else ():
+        written = net.connections.get((*connection.origin, *connection.target))
+        for lane in {part.lane for part in connection.lane_connection.parts} if written else ():
             lines[lane].append(written[0])  # type: ignore[index]  # the loop is empty when it is None
     return lines
 
@@ -110,6 +110,7 @@ def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[
 def _lane_counts(
     result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]
 ) -> dict[str, Any]:
+    """Return how many lanes the source and the net hold, and which are left out or lost."""
     lanes = result.source.lanes
     lost = [lane.token for number, lane in enumerate(lanes) if number not in lines]
     given = result.given.stated.lanes if result.given.stated else len(result.given.lanes)
@@ -121,7 +122,7 @@ def _lane_counts(
         "source_connectors": sum(lane.is_connector for lane in lanes),
         "edges": len(result.plan.edges),
         "edge_lanes": len(net.lanes),
-        "connections": len(net.ways),
+        "connections": len(net.connections),
         "junctions": len(result.plan.junctions),
         "lost": lost,
     }
@@ -130,59 +131,63 @@ def _lane_counts(
 def _centre_line_errors(
     result: ConversionResult, net: WrittenNet, lines: dict[int, list[FloatArray]]
 ) -> dict[str, Any]:
-    """Return the distances source → net (is everything drawn?) and net → source (is nothing drawn that is not?)."""
+    """Return distances from source lines to net lines (is a lane missing?) and back (is a lane invented?)."""
     source = [lane.centre_m for lane in result.source.lanes]
     to_net = [_distances(line, lines[number]) for number, line in enumerate(source) if number in lines]
     to_source = [
         _distances(shape, [source[n] for n in numbers]) for shape, numbers in _net_lines(result, net)
     ]
-    return {"source_to_net": _spread(to_net), "net_to_source": _spread(to_source)}
+    return {"source_to_net": _statistics(to_net), "net_to_source": _statistics(to_source)}
 
 
 def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[FloatArray, list[int]]]:
+    """Yield each line (N, 2) of the net with the numbers of the source lanes that it was made from."""
     for piece, key in result.plan.lane_of.items():
         if key in net.lanes:
             yield net.lanes[key][0], [piece.lane]
     for connection in result.plan.connections:
-        written = net.ways.get((*connection.origin, *connection.target))
+        written = net.connections.get((*connection.origin, *connection.target))
         if written:
-            yield written[0], list(connection.way.lanes)
+            yield written[0], list(connection.lane_connection.lanes)
 
 
-def _distances(line: FloatArray, truth: Sequence[FloatArray]) -> FloatArray:
-    """Return the distance of places every half metre on *line* to the nearest of *truth*."""
+def _distances(line: FloatArray, references: Sequence[FloatArray]) -> FloatArray:
+    """Return the distances (M,) in m of points every half metre on *line* to the nearest of *references*."""
     points = shapely.points(polyline.resample(line, STEP_M)[0])
-    return np.asarray(shapely.distance(points, shapely.MultiLineString(list(truth))))
+    return np.asarray(shapely.distance(points, shapely.MultiLineString(list(references))))
 
 
-def _spread(values: Sequence[FloatArray]) -> dict[str, float]:
-    everything = np.concatenate(values) if values else np.zeros(1)
+def _statistics(values: Sequence[FloatArray]) -> dict[str, float]:
+    """Return median, 95th percentile and maximum of all *values* together."""
+    all_values = np.concatenate(values) if values else np.zeros(1)
     return {
-        "median": round(float(np.median(everything)), 4),
-        "p95": round(float(np.percentile(everything, 95)), 4),
-        "max": round(float(everything.max()), 4),
+        "median": round(float(np.median(all_values)), 4),
+        "p95": round(float(np.percentile(all_values, 95)), 4),
+        "max": round(float(all_values.max()), 4),
     }
 
 
 def _width_errors(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
-    """Return |width in the net − median width of the polygon there|, and how much the source's widths vary."""
-    errors, within = [], []
+    """Return |net width − median source width| of each edge lane, and |source width − net width| along the lanes."""
+    errors, deviations = [], []
     for piece, key in result.plan.lane_of.items():
         profile = result.tracks[piece.lane].widths
         if key in net.lanes and len(profile):
             errors.append(abs(net.lanes[key][1] - width_between(profile, piece.from_m, piece.to_m)))
             inside = profile[(profile[:, 0] >= piece.from_m) & (profile[:, 0] <= piece.to_m), 1]
-            within.append(np.abs(inside - net.lanes[key][1]))
-    return {"of_the_median": _spread([np.array(errors)] if errors else []), "along_the_lane": _spread(within)}
+            deviations.append(np.abs(inside - net.lanes[key][1]))
+    return {
+        "of_the_median": _statistics([np.array(errors)] if errors else []),
+        "along_the_lane": _statistics(deviations),
+    }
 
 
 def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
-    """Return which links of the source the net holds; a link is a step from one lane to the next on some way."""
+    """Return which links of the source the net holds; a link is a step from one lane to the next on a connection."""
     held: set[tuple[int, int]] = set()
     for connection in result.plan.connections:
-        if (*connection.origin, *connection.target) in net.ways:
-            lanes = connection.way.lanes
-            held |= set(itertools.pairwise(lanes))
+        if (*connection.origin, *connection.target) in net.connections:
+            held |= set(itertools.pairwise(connection.lane_connection.lanes))
     links = result.layout.links
     number = {lane.token: index for index, lane in enumerate(result.source.lanes)}
     stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
@@ -195,14 +200,14 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
         "kept": sum(link in held for link in links if link in stated),
         "repaired": sum(link in held for link in links if link not in stated),
         "lost": [[tokens[a], tokens[b]] for a, b in links if (a, b) not in held],
-        "invented": sorted(map(list, set(net.ways) - planned), key=str),
-        "second_ways_left_out": [[tokens[n] for n in way.lanes] for way in result.doubles],
-        "parts_drawn_by_several_ways": _drawn_again(result),
+        "invented": sorted(map(list, set(net.connections) - planned), key=str),
+        "second_ways_left_out": [[tokens[n] for n in double.lanes] for double in result.doubles],
+        "parts_drawn_by_several_ways": _repeated_parts(result),
     }
 
 
 def _crossing_counts(paths: FootPaths | None) -> dict[str, Any] | None:
-    """Return how many crossings the net holds, and why others are left out; None where none were wanted."""
+    """Return how many crossings the net holds, and why others are left out; None if none were requested."""
     if paths is None:
         return None
     return {
@@ -216,16 +221,16 @@ def _crossing_counts(paths: FootPaths | None) -> dict[str, Any] | None:
     }
 
 
-def _drawn_again(result: ConversionResult) -> dict[str, Any]:
-    """Return how many lanes have parts that several ways run on (before they fork, after they merge), and metres."""
-    times = Counter(part for connection in result.plan.connections for part in connection.way.parts)
-    again = {part: count - 1 for part, count in times.items() if count > 1}
-    metres = sum(part.length_m * count for part, count in again.items())
-    return {"lanes": len({part.lane for part in again}), "metres": round(metres, 1)}
+def _repeated_parts(result: ConversionResult) -> dict[str, Any]:
+    """Return how many lanes have parts that several connections share (before a fork, after a merge), and metres."""
+    uses = Counter(part for c in result.plan.connections for part in c.lane_connection.parts)
+    repeats = {part: count - 1 for part, count in uses.items() if count > 1}
+    metres = sum(part.length_m * count for part, count in repeats.items())
+    return {"lanes": len({part.lane for part in repeats}), "metres": round(metres, 1)}
 
 
 def lane_change_share(result: ConversionResult) -> dict[str, Any]:
-    """Return how many pairs of lanes with a dashed divider between them are neighbours in one edge."""
+    """Return how many pairs of lanes with a dashed divider between them are neighbours in one SUMO edge."""
     neighbours: set[tuple[int, int]] = set()
     for group in result.layout.groups:
         neighbours |= {(left.lane, right.lane) for right, left in itertools.pairwise(group)}
@@ -242,10 +247,10 @@ def lane_change_share(result: ConversionResult) -> dict[str, Any]:
 
 
 def _overlap(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
-    """Return how the area of the net's lanes compares with the source's drivable area."""
+    """Return the area of the net's lanes and its intersection over union with the source's drivable area."""
     strips = [
         shapely.LineString(line).buffer(0.5 * width, cap_style="flat")
-        for line, width in (*net.lanes.values(), *net.ways.values())
+        for line, width in (*net.lanes.values(), *net.connections.values())
     ]
     lanes = shapely.union_all(strips) if strips else shapely.MultiPolygon()
     truth = result.source.drivable
@@ -261,7 +266,7 @@ def _overlap(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
 
 
 def warning_summary(warnings: Iterable[str]) -> list[dict[str, Any]]:
-    """Return netconvert's warnings by kind, each with its number, an example and what it means."""
+    """Return netconvert's warnings by kind, each with its count, an example and its meaning."""
     kinds: Counter[str] = Counter()
     example: dict[str, str] = {}
     for warning in warnings:

@@ -1,4 +1,4 @@
-"""NAME.fidelity.json and the page NAME.fidelity.html with the overlay picture."""
+"""Write the fidelity figures of a conversion (NAME.fidelity.json) and a page with overlay pictures (.html)."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ LEGEND = (
     (LANE, 2, "lanes of the net"),
     (WAY, 2, "ways through junctions"),
 )
-PICTURE_IN, DETAIL_M = 10.0, 60.0  # the detail shows a square of twice that
+PICTURE_IN = 10.0  # longer side of a picture in inches
+DETAIL_M = 60.0  # half the side of the square that the detail shows
 DRIVEN = {
     "driving_test_in_the_hour": "set out within the hour",
     "driving_test_at_once": "on the road at any time",
@@ -74,12 +75,15 @@ INCIDENTS = {
     "collisions_sumo": "collisions, SUMO's list",
     "collisions_boxes": "collisions, overlapping boxes",
 }
-LONGEST_LIST, PAIR = 12, 2
-MEDIAN_BAR_M, LARGEST_BAR_M, DASHED_BAR = 0.02, 0.20, 0.95
+LONGEST_LIST = 12  # items of a list that the page shows
+PAIR = 2  # lists of at most this many items are written "a → b"
+MEDIAN_BAR_M = 0.02  # largest accepted median error of centre lines
+LARGEST_BAR_M = 0.20  # largest accepted error of a centre line
+DASHED_BAR = 0.95  # smallest accepted share of dashed pairs in one edge
 
 
 def fidelity_path(net: Path, suffix: str = "json") -> Path:
-    """Return the path of the figures beside a net: NAME.net.xml → NAME.fidelity.json (or .html)."""
+    """Return the path of the figures of a net: NAME.net.xml → NAME.fidelity.json (or .html)."""
     return net.with_name(net.name.removesuffix(".xml").removesuffix(".net") + f".fidelity.{suffix}")
 
 
@@ -89,7 +93,7 @@ def write_figures(figures: Mapping[str, Any], path: Path) -> None:
 
 
 def write_page(result: ConversionResult, figures: Mapping[str, Any], path: Path) -> None:
-    """Write the page about a conversion: what is met, the overlay pictures and every figure."""
+    """Write the page about a conversion: requirements, overlay pictures and every figure."""
     template = jinja2.Environment(autoescape=True, trim_blocks=True).from_string(PAGE)
     topics = [
         (topic.replace("_", " ").capitalize(), _rows(value) or [("", "none")])
@@ -108,7 +112,7 @@ def write_page(result: ConversionResult, figures: Mapping[str, Any], path: Path)
 
 
 def verdicts(figures: Mapping[str, Any]) -> list[tuple[str, str, str, bool]]:
-    """Return (measure, found, bar, whether met) for the bars that a conversion is held to, as far as measured."""
+    """Return (measure, value found, required value, whether met) of each requirement that was measured."""
     rows = []
     for key, name in (("source_to_net", "map to net"), ("net_to_source", "net to map")):
         error = figures["centre_line_error_m"][key]
@@ -116,7 +120,7 @@ def verdicts(figures: Mapping[str, Any]) -> list[tuple[str, str, str, bool]]:
         bar = f"{MEDIAN_BAR_M:.2f}, {LARGEST_BAR_M:.2f}"
         met = error["median"] <= MEDIAN_BAR_M and error["max"] <= LARGEST_BAR_M
         rows.append((f"Centre lines, {name}: median, largest", error_text, bar, met))
-    rows += [_none(measure, count) for measure, count in _faults(figures)]
+    rows += [_zero_row(measure, count) for measure, count in _fault_counts(figures)]
     share = figures["lane_changes"]["share"]
     if share is not None:
         met = share >= DASHED_BAR
@@ -125,16 +129,16 @@ def verdicts(figures: Mapping[str, Any]) -> list[tuple[str, str, str, bool]]:
     if poses.get("poses"):
         on, total = poses["on_a_lane_of_the_net"], poses["poses"]
         rows.append(("Logged poses on a lane", f"{on} of {total}", "all", on == total))
-        rows.append(_none("Poses whose offset differs by over 0.05", poses["differences_above_0.05_m"]))
+        rows.append(_zero_row("Poses whose offset differs by over 0.05", poses["differences_above_0.05_m"]))
     return rows + [
-        row for key, name in DRIVEN.items() if key in figures for row in _driven(figures[key], name)
+        row for key, name in DRIVEN.items() if key in figures for row in _driving_rows(figures[key], name)
     ]
 
 
-def _driven(test: Mapping[str, Any], name: str) -> list[tuple[str, str, str, bool]]:
-    """Return the rows of one driving test."""
+def _driving_rows(test: Mapping[str, Any], name: str) -> list[tuple[str, str, str, bool]]:
+    """Return the requirements of one driving test."""
     title = f"{test['vehicles']} vehicles {name}"
-    rows = [_none(f"{title}: {measure}", test[key]) for key, measure in INCIDENTS.items()]
+    rows = [_zero_row(f"{title}: {measure}", test[key]) for key, measure in INCIDENTS.items()]
     rate = test["emergency_brakings_per_1000_km"]
     if rate is not None:
         measure = f"{title}: emergency brakings per 1,000 vehicle-km"
@@ -142,12 +146,13 @@ def _driven(test: Mapping[str, Any], name: str) -> list[tuple[str, str, str, boo
     return rows
 
 
-def _none(measure: str, count: int) -> tuple[str, str, str, bool]:
+def _zero_row(measure: str, count: int) -> tuple[str, str, str, bool]:
+    """Return the row of a requirement that *count* is zero."""
     return measure, str(count), "0", count == 0
 
 
-def _faults(figures: Mapping[str, Any]) -> list[tuple[str, int]]:
-    """Return what should not occur at all, and how often it does."""
+def _fault_counts(figures: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Return the faults that must not occur, each with its count."""
     unexplained = sum(row["meaning"] == "not explained" for row in figures["netconvert_warnings"])
     return [
         ("Lanes and connectors of the file left out", len(figures["lanes"]["left_out"])),
@@ -161,7 +166,7 @@ def _faults(figures: Mapping[str, Any]) -> list[tuple[str, int]]:
 
 
 def _rows(value: Any, prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as (name, text) rows; long lists are cut, the JSON file has them whole."""
+    """Return nested values as (name, text) rows; long lists are shortened (the JSON file holds them whole)."""
     if isinstance(value, Mapping):
         return [
             row for key, inner in value.items() for row in _rows(inner, f"{prefix}{key} ".replace("_", " "))
@@ -185,26 +190,33 @@ def _item(item: Any) -> str:
 
 
 def _pictures(result: ConversionResult) -> list[tuple[str, str]]:
-    """Return (base64 PNG, caption) of the whole map and of its busiest junction."""
+    """Return (base64 PNG, caption) of the whole map and of the junction with most connections."""
     net = read_net(result.net)
-    lines = [line for line, _ in (*net.lanes.values(), *net.ways.values())]
+    lines = [line for line, _ in (*net.lanes.values(), *net.connections.values())]
     points = np.vstack(lines)
     whole = np.array([points.min(axis=0) - 10.0, points.max(axis=0) + 10.0])
     pictures = [(_picture(result, net, whole, 1.0), "Centre lines of the map under lanes of the net")]
-    places = Counter(
+    connection_counts = Counter(
         next(e.target for e in result.plan.edges if e.id == c.origin[0]) for c in result.plan.connections
     )
-    if places:
-        name, ways = min(places.items(), key=lambda item: (-item[1], item[0]))
+    if connection_counts:
+        name, count = min(connection_counts.items(), key=lambda item: (-item[1], item[0]))
         middle = np.array(next(j.xy_m for j in result.plan.junctions if j.id == name))
-        near = np.array([middle - DETAIL_M, middle + DETAIL_M])
-        caption = f"Detail: junction {name}, the one with most ways ({ways})"
-        pictures.append((_picture(result, net, near, 3.0), caption))
+        detail = np.array([middle - DETAIL_M, middle + DETAIL_M])
+        caption = f"Detail: junction {name}, the one with most ways ({count})"
+        pictures.append((_picture(result, net, detail, 3.0), caption))
     return pictures
 
 
 def _picture(result: ConversionResult, net: WrittenNet, extent: FloatArray, scale: float) -> str:
-    """Return the overlay within *extent*, lower left and upper right corner in m, as base64 PNG."""
+    """Return the overlay of map and net as base64 PNG.
+
+    Args:
+        result: the conversion.
+        net: its net.
+        extent: (2, 2) lower left and upper right corner in m.
+        scale: factor on the thickness of lines.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # late, with what follows: slow to import
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
@@ -223,7 +235,7 @@ def _picture(result: ConversionResult, net: WrittenNet, extent: FloatArray, scal
     layers = (
         ([lane.centre_m for lane in result.source.lanes], SOURCE, 2.2 * scale),
         ([line for line, _ in net.lanes.values()], LANE, 0.5 * scale),
-        ([line for line, _ in net.ways.values()], WAY, 0.4 * scale),
+        ([line for line, _ in net.connections.values()], WAY, 0.4 * scale),
     )
     for lines, colour, thickness in layers:
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=thickness))

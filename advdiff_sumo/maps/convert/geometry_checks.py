@@ -1,4 +1,4 @@
-"""Is each path where its polygon and its neighbours say? What contradicts them is left out, with a sentence each."""
+"""Leave out lanes, polygons and links of a source map whose geometry contradicts the rest of the map."""
 
 from __future__ import annotations
 
@@ -14,20 +14,25 @@ from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
-OUTSIDE_M = 1.0  # a centre line farther outside its polygon is not in it
-OUTSIDE_SHARE = 0.3  # so much of a centre line outside its polygon contradicts it
-MEETS_M = 1.0  # two lanes whose ends lie nearer meet
-FAR_LINK_M = 10.0  # a link over a larger gap joins lanes that are not neighbours
-BACKWARDS_RAD = 2.4  # a link that turns on the spot by more leads backwards
-FULL_TURN_RAD = 1.9 * math.pi
+OUTSIDE_M = 1.0  # distance up to which a centre line beside its polygon still counts as inside
+OUTSIDE_SHARE = 0.3  # if a larger share of a centre line is outside, it contradicts its polygon
+MEETS_M = 1.0  # lane ends at a smaller distance meet
+FAR_LINK_M = 10.0  # a link over a larger gap joins lanes that do not follow each other
+BACKWARDS_RAD = 2.4  # a link with a larger change of heading leads backwards
+FULL_TURN_RAD = 1.9 * math.pi  # a centre line that turns by at least this runs in a circle
 
 
 def check_geometry(source: SourceMap) -> SourceMap:
-    """Return *source* without paths and links that contradict the rest of it.
+    """Return *source* without lanes, polygons and links that contradict the rest of the map.
 
-    Left out are paths that turn full circle or close on themselves, paths outside their polygon that no neighbour
-    confirms (a polygon is left out instead where a neighbour does), links of a lane to itself, over more than
-    10 m, or backwards. Each gets a sentence in ``warnings`` (20 of a kind at most) and is counted in ``notes``.
+    Left out are:
+
+    - lanes whose centre line turns full circle or ends where it begins,
+    - lanes whose centre line lies outside their polygon and meets no neighbour,
+    - the polygon of a lane whose centre line lies outside it but meets a neighbour,
+    - links of a lane to itself, over more than 10 m, or backwards.
+
+    Each is counted in ``notes`` and gets a sentence in ``warnings`` (at most 20 of a kind).
     """
     faults = MapFaults(source.path)
     lanes = [lane for lane in source.lanes if not _is_loop(lane, faults)]
@@ -37,29 +42,30 @@ def check_geometry(source: SourceMap) -> SourceMap:
     ]
     lanes = _in_their_polygons(lanes, links, faults)
     known = {lane.token for lane in lanes}
-    gone = tuple(lane.token for lane in source.lanes if lane.token not in known)
+    removed = tuple(lane.token for lane in source.lanes if lane.token not in known)
     return replace(
         source,
         lanes=tuple(lanes),
         links=tuple(link for link in links if set(link) <= known),
-        left_out=source.left_out + gone,
+        left_out=source.left_out + removed,
         notes=source.notes + faults.notes,
         warnings=source.warnings + faults.sentences(),
     )
 
 
 def _is_loop(lane: SourceLane, faults: MapFaults) -> bool:
-    """Return whether a path turns full circle or ends where it begins."""
+    """Return whether a centre line turns full circle or ends where it begins; note it in *faults*."""
     line = lane.centre_m
     yaw = np.unwrap(np.arctan2(*np.diff(line, axis=0).T[::-1]))
-    closed = math.dist(line[0], line[-1]) < MEETS_M and line_length_m(line) > 5.0 * MEETS_M
-    if not closed and abs(float(yaw[-1] - yaw[0])) < FULL_TURN_RAD:
+    is_closed = math.dist(line[0], line[-1]) < MEETS_M and line_length_m(line) > 5.0 * MEETS_M
+    if not is_closed and abs(float(yaw[-1] - yaw[0])) < FULL_TURN_RAD:
         return False
     faults.add("paths that run in a circle", f"lane {lane.token!r} runs in a circle and is left out")
     return True
 
 
 def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFaults) -> bool:
+    """Return whether a link joins two lanes that follow each other; otherwise note it in *faults*."""
     before, after = lanes[link[0]].centre_m, lanes[link[1]].centre_m
     gap = math.dist(before[-1], after[0])
     if link[0] == link[1]:
@@ -80,7 +86,7 @@ def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFa
 
 
 def _turn(before: FloatArray, after: FloatArray) -> float:
-    """Return the angle in rad between the end of one line and the beginning of another."""
+    """Return the absolute change of heading in rad from the end of one line to the beginning of the other."""
     last, first = before[-1] - before[-2], after[1] - after[0]
     return abs(math.atan2(last[0] * first[1] - last[1] * first[0], float(last @ first)))
 
@@ -88,6 +94,7 @@ def _turn(before: FloatArray, after: FloatArray) -> float:
 def _in_their_polygons(
     lanes: list[SourceLane], links: list[tuple[str, str]], faults: MapFaults
 ) -> list[SourceLane]:
+    """Return *lanes* without those outside their polygon; lanes that meet a neighbour lose the polygon instead."""
     line = {lane.token: lane.centre_m for lane in lanes}
     meeting = {token for a, b in links if math.dist(line[a][-1], line[b][0]) < MEETS_M for token in (a, b)}
     kept = []
@@ -110,6 +117,7 @@ def _in_their_polygons(
 
 
 def _is_outside(lane: SourceLane) -> bool:
+    """Return whether more than ``OUTSIDE_SHARE`` of a centre line lies outside the lane's polygon."""
     if lane.polygon is None:
         return False
     line = LineString(lane.centre_m)

@@ -1,4 +1,4 @@
-"""Routes over edges that no car can drive, as no lane and no permitted lane change leads along them."""
+"""Find routes over edges that no sequence of lanes and permitted lane changes follows, and remove them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan, Track, plan_net
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
-CHANGE_M = 5.0  # on an edge shorter than a car, who merges behind it cannot foresee a lane change
-State = tuple[str, frozenset[int]]
+# Edges shorter than a car allow no lane change: vehicles that merge behind such an edge cannot foresee it.
+CHANGE_M = 5.0
+State = tuple[str, frozenset[int]]  # an edge, and the lanes on which a route can enter it
 
 
 @dataclass
 class RouteLanes:
-    """Lanes of each edge and where they lead.
+    """Permitted lane changes on each edge and connections between lanes.
 
     Attributes:
-        changes: by edge, for each lane the lanes next to it that may be changed to.
-        links: by edge and next edge the pairs of lanes that are connected.
+        changes: by edge, for each lane the neighbouring lanes to which a change is permitted.
+        links: by edge and next edge, the pairs of lanes that are connected.
     """
 
     changes: dict[str, list[set[int]]] = field(default_factory=dict)
@@ -36,20 +37,20 @@ class RouteLanes:
         self.links[origin[0]].setdefault(target[0], set()).add((origin[1], target[1]))
 
     def within_reach(self, edge: str, lanes: Iterable[int]) -> frozenset[int]:
-        """Return the lanes of *edge* that can be had from *lanes* by permitted changes."""
-        reached, todo = set(lanes), list(lanes)
-        while todo:
-            new = self.changes[edge][todo.pop()] - reached
+        """Return the lanes of *edge* that can be reached from *lanes* by permitted lane changes."""
+        reached, queue = set(lanes), list(lanes)
+        while queue:
+            new = self.changes[edge][queue.pop()] - reached
             reached |= new
-            todo += new
+            queue += new
         return frozenset(reached)
 
     def parts(self, edge: str) -> list[list[int]]:
-        """Return the lanes of *edge* in groups within which each lane can be changed to the next and back."""
+        """Return the lanes of *edge* in groups; within a group, changes are permitted in both directions."""
         groups: list[list[int]] = []
-        for lane, after in enumerate(self.changes[edge]):
+        for lane, targets in enumerate(self.changes[edge]):
             before = lane - 1
-            if groups and before in after and lane in self.changes[edge][before]:
+            if groups and before in targets and lane in self.changes[edge][before]:
                 groups[-1].append(lane)
             else:
                 groups.append([lane])
@@ -57,10 +58,10 @@ class RouteLanes:
 
 
 def undrivable_routes(graph: RouteLanes) -> list[tuple[str, ...]]:
-    """Return edge routes, each step of which is connected, that no sequence of lanes follows.
+    """Return routes of connected edges that no sequence of lanes follows.
 
-    Each is as short as can be: without its first or its last edge it could be driven. One is given for each way
-    of getting stuck.
+    Each route is as short as possible: without its first or its last edge it could be driven. Of the routes that get
+    stuck in the same state (edge and lanes that can be entered), only one is returned.
     """
     origin: dict[State, State | None] = {}
     queue: deque[State] = deque()
@@ -75,24 +76,25 @@ def undrivable_routes(graph: RouteLanes) -> list[tuple[str, ...]]:
         for after, pairs in sorted(graph.links.get(edge, {}).items()):
             entered = frozenset(b for a, b in pairs if a in lanes)
             if not entered:
-                stuck[(*_way(origin, state), after)] = None
+                stuck[(*_route_to(origin, state), after)] = None
             elif (after, entered) not in origin:
                 origin[after, entered] = state
                 queue.append((after, entered))
     return list(stuck)
 
 
-def _way(origin: Mapping[State, State | None], state: State) -> tuple[str, ...]:
-    way: list[str] = []
-    here: State | None = state
-    while here is not None:
-        way.append(here[0])
-        here = origin[here]
-    return tuple(way[::-1])
+def _route_to(origin: Mapping[State, State | None], state: State) -> tuple[str, ...]:
+    """Return the edges that the search passed up to *state*."""
+    edges: list[str] = []
+    current: State | None = state
+    while current is not None:
+        edges.append(current[0])
+        current = origin[current]
+    return tuple(edges[::-1])
 
 
 def graph_of_plan(plan: NetPlan) -> RouteLanes:
-    """Return the lanes of a net as planned."""
+    """Return the lane graph of a planned net."""
     graph = RouteLanes({edge.id: _planned_changes(edge) for edge in plan.edges})
     for connection in plan.connections:
         graph.add_link(connection.origin, connection.target)
@@ -103,23 +105,24 @@ def _planned_changes(edge: EdgePlan) -> list[set[int]]:
     if edge.length_m < CHANGE_M:
         return [set() for _ in edge.lanes]
     last = len(edge.lanes) - 1
-    return [_beside(n, last, lane.no_change_up, lane.no_change_down) for n, lane in enumerate(edge.lanes)]
+    return [_targets(n, last, lane.no_change_up, lane.no_change_down) for n, lane in enumerate(edge.lanes)]
 
 
-def _beside(lane: int, last: int, not_up: bool, not_down: bool) -> set[int]:
-    up = {lane + 1} if lane < last and not not_up else set()
-    return up | ({lane - 1} if lane > 0 and not not_down else set())
+def _targets(lane: int, last: int, no_change_up: bool, no_change_down: bool) -> set[int]:
+    """Return the lanes to which a change from *lane* is permitted; *last* is the highest lane index."""
+    up = {lane + 1} if lane < last and not no_change_up else set()
+    return up | ({lane - 1} if lane > 0 and not no_change_down else set())
 
 
 def graph_of_net(net: Path) -> RouteLanes:
-    """Return the lanes of a written net."""
+    """Return the lane graph of a written net, without return edges and streets beyond the rim."""
     root: Any = ElementTree.fromstring(net.read_bytes())
     graph = RouteLanes()
     for edge in root.iter("edge"):
         if edge.get("function", "") == "" and edge.get("type") != BEYOND_TYPE:
             rows = edge.findall("lane")
             graph.changes[edge.attrib["id"]] = [
-                _beside(
+                _targets(
                     n, len(rows) - 1, row.get("changeLeft") is not None, row.get("changeRight") is not None
                 )
                 for n, row in enumerate(rows)
@@ -132,19 +135,22 @@ def graph_of_net(net: Path) -> RouteLanes:
 
 
 def edges_to_part(graph: RouteLanes) -> list[str]:
-    """Return the edges on which an undrivable route gets stuck and whose lanes could be edges of their own."""
+    """Return the edges on which an undrivable route gets stuck and whose lanes can be divided among several edges."""
     blocked = {route[-2] for route in undrivable_routes(graph)}
     return sorted(edge for edge in blocked if len(graph.parts(edge)) > 1)
 
 
-def plan_drivable(tracks: list[Track], layout: Layout, ways: list[LaneConnection], lefthand: bool) -> NetPlan:
-    """Return the net of *layout*; lanes that may not be changed become edges of their own where routes get stuck.
+def plan_drivable(
+    tracks: list[Track], layout: Layout, connections: list[LaneConnection], lefthand: bool
+) -> NetPlan:
+    """Return the planned net of *layout*, with edges divided where a route over them cannot be driven.
 
-    SUMO's routes are made of edges, so an edge whose lanes lead to different places and may not be changed invites
-    routes that nobody can drive. *layout* gets the new groups.
+    SUMO's routes consist of edges. If the lanes of an edge lead to different edges and lane changes between them are
+    forbidden, a route over the edge may be impossible to drive. Such lanes become edges of their own. *layout* is
+    changed: it gets the new groups.
     """
     while True:
-        plan = plan_net(tracks, layout, ways, lefthand)
+        plan = plan_net(tracks, layout, connections, lefthand)
         graph = graph_of_plan(plan)
         edges = edges_to_part(graph)
         if not edges:

@@ -1,8 +1,8 @@
-"""Ways through a junction that come too near each other for netconvert to notice: one of them has to yield.
+"""Find conflicts between connections of a junction that netconvert and SUMO miss, and state them in the net.
 
-SUMO takes a conflict for the spot where two centre lines cross, widened by the angle between them, and disregards who
-is inside on a way that does not cross one's own. Opposite turns pass each other within less than a width over many
-metres. ``<conflict>`` elements tell SUMO from where to where a way is shared.
+SUMO derives the area of a conflict from the point where two centre lines cross and from the angle between them. It
+ignores vehicles on a connection that does not cross one's own. But two opposite turns may pass each other at less than
+a vehicle's width over many metres. Elements ``<conflict>`` tell SUMO which part of a connection is shared.
 """
 
 from __future__ import annotations
@@ -26,97 +26,96 @@ from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
 from advdiff_sumo.maps.read_net import marked_requests
 
-LONG_M = 12.0  # a crossing at 20° or more is shorter
-Ends = tuple[str, str]  # edges that a way leaves and enters
-Key = tuple[str, int, str, int]  # the same with lanes
-Span = tuple[float, float]
+LONG_M = 12.0  # connections that share a longer stretch run along each other (a crossing at 20° or more is shorter)
+Ends = tuple[str, str]  # from edge and to edge of a connection
+Key = tuple[str, int, str, int]  # from edge and lane, to edge and lane of a connection
+Span = tuple[float, float]  # first and last arc length in m
 
 
 def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
-    """Return (who goes first, who yields) for ways that lie too near for two cars, which *net* lets go together.
+    """Return (first, yielding) connections that are too close for two cars but without conflict in *net*.
 
-    netconvert finds who conflicts with whom from the order of the edges around a junction. So it takes two turns
-    that pass each other in a narrow neck for free of conflict, and some that cross where one edge enters a junction
-    between the ends of another. The way that turns less goes first.
+    netconvert derives conflicts from the order of the edges around a junction. So it misses two turns that pass each
+    other in a narrow junction. It also misses some connections that cross if an edge enters the junction between the
+    ends of another edge. The connection that turns less has priority.
     """
     inside = _by_junction(plan)
     known = _known_conflicts(net)
     conflicts: set[tuple[Ends, Ends]] = set()
     for name in sorted(inside):
-        for one, other in _near(inside[name]):
-            if frozenset((one.key, other.key)) not in known:
-                first, second = sorted((one, other), key=lambda way: (_turn(way), way.origin, way.target))
+        for pair in _close_pairs(inside[name]):
+            if frozenset(connection.key for connection in pair) not in known:
+                first, second = sorted(pair, key=lambda c: (_turn(c), c.origin, c.target))
                 conflicts.add((_ends(first), _ends(second)))
     return sorted(pair for pair in conflicts if pair[::-1] not in conflicts or pair < pair[::-1])
 
 
 def unseen_pairs(plan: NetPlan) -> list[tuple[ConnectionPlan, ConnectionPlan]]:
-    """Return the pairs of ways to different edges of which SUMO does not see where they are in each other's way.
+    """Return the pairs of connections to different edges whose shared stretch SUMO does not compute correctly.
 
-    They come too near without crossing, or run along each other for long.
+    They come too close without crossing, or run along each other over a long distance.
     """
     return [
-        (one, other)
-        for ways in _by_junction(plan).values()
-        for one, other in _near(ways)
-        if one.target[0] != other.target[0] and (not _cross(one, other) or _shared_m(one, other) > LONG_M)
+        (first, second)
+        for connections in _by_junction(plan).values()
+        for first, second in _close_pairs(connections)
+        if first.target[0] != second.target[0]
+        and (not _lines_cross(first, second) or _shared_m(first, second) > LONG_M)
     ]
 
 
-def _cross(one: ConnectionPlan, other: ConnectionPlan) -> bool:
-    return bool(shapely.LineString(one.shape_m).crosses(shapely.LineString(other.shape_m)))
+def _lines_cross(first: ConnectionPlan, second: ConnectionPlan) -> bool:
+    return bool(shapely.LineString(first.shape_m).crosses(shapely.LineString(second.shape_m)))
 
 
 def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
-    """Return the pairs of ways of different edges that run close to each other, bodies touching, for long.
+    """Return the pairs of connections to different edges on which vehicles would touch over a long distance.
 
-    SUMO takes a conflict of two ways for a spot where they cross; two opposite turns that meet at a flat angle over
-    many metres must not be green together. Ways into one edge merge and are left aside.
+    SUMO treats a conflict as a point where two connections cross. So two opposite turns that meet at a small angle over
+    many metres must not have green together. Connections into the same edge merge and are not returned.
     """
     return {
-        frozenset((_ends(one), _ends(other)))
-        for ways in _by_junction(plan).values()
-        for one, other in _near(ways)
-        if one.target[0] != other.target[0] and _shared_m(one, other) > LONG_M
+        frozenset((_ends(first), _ends(second)))
+        for connections in _by_junction(plan).values()
+        for first, second in _close_pairs(connections)
+        if first.target[0] != second.target[0] and _shared_m(first, second) > LONG_M
     }
 
 
 def junctions_of(pairs: Iterable[frozenset[Ends]], plan: NetPlan) -> set[str]:
-    """Return the junctions in which *pairs* of ways meet."""
+    """Return the junctions in which *pairs* of connections meet."""
     target = {edge.id: edge.target for edge in plan.edges}
     return {target[origin] for pair in pairs for origin, _ in pair}
 
 
 def _by_junction(plan: NetPlan) -> dict[str, list[ConnectionPlan]]:
-    """Return the ways through each junction."""
+    """Return the connections through each junction."""
     target = {edge.id: edge.target for edge in plan.edges}
     inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
     for connection in plan.connections:
-        if (
-            connection.origin[0] in target
-        ):  # those that come from a street beyond the rim have no others beside them
+        if connection.origin[0] in target:  # else from a street beyond the rim: no other connection is near
             inside[target[connection.origin[0]]].append(connection)
     return inside
 
 
-def _shared_m(one: ConnectionPlan, other: ConnectionPlan) -> float:
-    """Return the length of *one* that lies in the way of *other*."""
-    near = shapely.LineString(other.shape_m).buffer(BODIES_M)
-    return float(shapely.LineString(one.shape_m).intersection(near).length)
+def _shared_m(connection: ConnectionPlan, foe: ConnectionPlan) -> float:
+    """Return the length in m of *connection* on which vehicles would touch those on *foe*."""
+    near = shapely.LineString(foe.shape_m).buffer(BODIES_M)
+    return float(shapely.LineString(connection.shape_m).intersection(near).length)
 
 
-def _near(ways: list[ConnectionPlan]) -> Iterator[tuple[ConnectionPlan, ConnectionPlan]]:
-    """Yield ways from different edges that come too near; into one edge only if they cross."""
-    lines = [shapely.LineString(way.shape_m) for way in ways]
+def _close_pairs(connections: list[ConnectionPlan]) -> Iterator[tuple[ConnectionPlan, ConnectionPlan]]:
+    """Yield pairs of connections from different edges that come too close; into the same edge only if they cross."""
+    lines = [shapely.LineString(connection.shape_m) for connection in connections]
     near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=BODIES_M)
     for a, b in zip(*near.tolist(), strict=True):
-        apart = ways[a].target[0] != ways[b].target[0] or lines[a].crosses(lines[b])
-        if a < b and ways[a].origin[0] != ways[b].origin[0] and apart:
-            yield ways[a], ways[b]
+        conflict = connections[a].target[0] != connections[b].target[0] or lines[a].crosses(lines[b])
+        if a < b and connections[a].origin[0] != connections[b].origin[0] and conflict:
+            yield connections[a], connections[b]
 
 
 def _known_conflicts(net: Path) -> set[frozenset[Key]]:
-    """Return the pairs of connections of which one yields to the other in a written net."""
+    """Return the pairs of connections that are foes of each other in a written net."""
     root: Any = ElementTree.fromstring(net.read_bytes())
     links: dict[str, dict[int, Key]] = defaultdict(dict)
     for row in root.iter("connection"):
@@ -130,41 +129,41 @@ def _known_conflicts(net: Path) -> set[frozenset[Key]]:
             )
     known = set()
     for junction in root.iter("junction"):
-        own = links[junction.attrib["id"]]
+        by_index = links[junction.attrib["id"]]
         for request in junction.iter("request"):
-            here = own.get(int(request.attrib["index"]))
+            connection = by_index.get(int(request.attrib["index"]))
             for index in marked_requests(request.attrib["foes"]):
-                if here is not None and index in own:
-                    known.add(frozenset((here, own[index])))
+                if connection is not None and index in by_index:
+                    known.add(frozenset((connection, by_index[index])))
     return known
 
 
-def _turn(way: ConnectionPlan) -> float:
-    """Return by how much a way turns, in whole degrees."""
-    start, end = polyline.heading(way.shape_m, np.array([0.0, line_length_m(way.shape_m)]))
+def _turn(connection: ConnectionPlan) -> float:
+    """Return the absolute change of heading along a connection, in whole degrees."""
+    start, end = polyline.heading(connection.shape_m, np.array([0.0, line_length_m(connection.shape_m)]))
     return round(float(np.degrees(abs((end - start + np.pi) % (2.0 * np.pi) - np.pi))))
 
 
-def _ends(way: ConnectionPlan) -> Ends:
-    return way.origin[0], way.target[0]
+def _ends(connection: ConnectionPlan) -> Ends:
+    return connection.origin[0], connection.target[0]
 
 
 def write_conflicts(net: Path, plan: NetPlan) -> int:
-    """Write into the connections of *net* which parts of their ways others share; return for how many pairs."""
+    """Write into *net* which part of a connection others share; return the number of conflicting pairs."""
     shared: dict[Key, dict[Key, Span]] = defaultdict(dict)
     pairs = unseen_pairs(plan)
-    for one, other in pairs:
-        for way, foe in ((one, other), (other, one)):
-            shared[way.key][foe.key] = shared_span(way.shape_m, foe.shape_m)
+    for first, second in pairs:
+        for connection, foe in ((first, second), (second, first)):
+            shared[connection.key][foe.key] = shared_span(connection.shape_m, foe.shape_m)
     if not shared:
         return 0
 
     def with_conflicts(match: re.Match[str]) -> str:
-        key = (match["origin"], int(match["leaves"]), match["target"], int(match["enters"]))
-        own = shared.get(key)
-        if not own or ' via="' not in match[0]:
+        key = (match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"]))
+        conflicts = shared.get(key)
+        if not conflicts or ' via="' not in match[0]:
             return match[0]
-        rows = "".join(_row(foe, span, match["indent"]) for foe, span in own.items())
+        rows = "".join(_conflict_row(foe, span, match["indent"]) for foe, span in conflicts.items())
         if match["close"] == "/>":
             return f"{match[0][:-2]}>\n{rows}{match['indent']}</connection>"
         return match[0].removesuffix("</connection>").rstrip() + f"\n{rows}{match['indent']}</connection>"
@@ -173,19 +172,19 @@ def write_conflicts(net: Path, plan: NetPlan) -> int:
     return len(pairs)
 
 
-def _row(foe: Key, span: Span, indent: str) -> str:
-    origin, leaves, target, enters = foe
+def _conflict_row(foe: Key, span: Span, indent: str) -> str:
+    origin, from_lane, target, to_lane = foe
     return (
-        f'{indent}    <conflict from="{origin}" to="{target}" fromLane="{leaves}" toLane="{enters}" '
+        f'{indent}    <conflict from="{origin}" to="{target}" fromLane="{from_lane}" toLane="{to_lane}" '
         f'startPos="{span[0]:.2f}" endPos="{span[1]:.2f}"/>\n'
     )
 
 
 def shared_span(line_m: FloatArray, foe_m: FloatArray) -> Span:
-    """Return from where to where *line_m* lies so near to *foe_m* that bodies of cars touch."""
+    """Return the first and last arc length in m on *line_m* (N, 2) at which cars would touch those on *foe_m*."""
     line, foe = LineString(line_m), LineString(foe_m)
     near = shapely.get_coordinates(line.intersection(foe.buffer(BODIES_M)))
-    if not len(near):  # a buffer is a polygon within the round shape, some millimetres short of it
+    if not len(near):  # the buffer is a polygon inside the round shape, too small by some millimetres
         near = shapely.get_coordinates(shapely.shortest_line(line, foe))[:1]
-    places = [line.project(Point(place)) for place in near]
-    return min(places), max(places)
+    stations = [line.project(Point(point)) for point in near]
+    return min(stations), max(stations)

@@ -1,4 +1,4 @@
-"""Run netconvert on plain XML."""
+"""Run SUMO's netconvert on plain XML, and explain its warnings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import sumolib
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.sumo_files import drop_header
 
-PRECISION = "4"
-TIMEOUT_S = 600
+PRECISION = "4"  # decimals of coordinates and lengths
+TIMEOUT_S = 600  # limit for one run of a SUMO tool
 
 
 def run_netconvert(
@@ -21,11 +21,11 @@ def run_netconvert(
     *,
     lefthand: bool,
 ) -> tuple[str, ...]:
-    """Write *out_net* from plain XML and return netconvert's warnings, one a line.
+    """Write *out_net* from plain XML and return netconvert's warnings, one per item.
 
     Args:
-        files: plain XML files by option name.
-        out_net: net to be written.
+        files: plain XML files by netconvert's option name.
+        out_net: path of the net to write.
         lefthand: whether traffic keeps left.
 
     Raises:
@@ -56,14 +56,15 @@ def run_netconvert(
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode != 0 or not out_net.exists():
-        said = " ".join(lines[:3])
-        if "Could not build output file" in said:
-            raise NetError(out_net, f"cannot be written ({said})", "choose another --output")
-        raise NetError(out_net, "netconvert refused the plan: " + said, "this is a fault of the converter")
+        message = " ".join(lines[:3])
+        if "Could not build output file" in message:
+            raise NetError(out_net, f"cannot be written ({message})", "choose another --output")
+        raise NetError(out_net, "netconvert refused the plan: " + message, "this is a fault of the converter")
     drop_header(out_net)
     return tuple(line for line in lines if line.startswith("Warning"))
 
 
+# Meaning of netconvert's warnings, by a part of their text.
 EXPLAINED = {
     "to avoid dead-end": "lane changes are forbidden by a solid divider or on an edge shorter than a car, but a lane "
     "that leads nowhere can only be left by one, so it stays allowed there",

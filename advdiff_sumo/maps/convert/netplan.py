@@ -1,4 +1,4 @@
-"""The net to be written: edges, lanes, junctions and connections with their geometry."""
+"""Plan a net: edges, lanes, junctions and connections with their geometry, before netconvert writes it."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, LaneUse, SourceLane
 from advdiff_sumo.maps.convert.widths import width_between
 
-LATERAL_MPS2 = 2.5  # comfortable sideways acceleration, which limits the speed in a turn
-SLOWEST_MPS = 3.0
-WIDEST_WAY_M = 5.0  # a way through a junction is drawn at most this wide
-SLIT_M = 0.02
-LIP_M = 0.005
-COLLAR_M = 0.3
+LATERAL_MPS2 = 2.5  # comfortable lateral acceleration, which limits the speed in a turn
+SLOWEST_MPS = 3.0  # smallest speed limit in a turn
+WIDEST_WAY_M = 5.0  # largest width of a connection in the shape of a junction
+SLIT_M = 0.02  # half the width of the cut along a lane in the shape of a junction
+LIP_M = 0.005  # overlap of a junction's shape with the beginning of a lane
+COLLAR_M = 0.3  # width of junction area added around a lane that divides the junction's shape
 VARIES_M = 0.2  # a width that varies by more is written as a profile
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A repaired lane or connector with everything measured on it.
+    """A repaired source lane or connector with measured widths and speed limit.
 
     Attributes:
         lane: the source lane.
@@ -65,17 +65,17 @@ class LanePlan:
     """One lane of an edge.
 
     Attributes:
-        piece: part of the source lane.
+        piece: part of a source lane from which it is made.
         shape_m: (N, 2) centre line.
-        width_m: median width, all that a SUMO lane can have.
+        width_m: median width (a SUMO lane has only one width).
         speed_mps: speed limit.
-        use: who may drive there.
-        source: where it comes from, "token:from:to".
-        widths: rows (K, 2) of arc length from the lane's beginning and width in m, both ends among them, linear
-            between them; no rows where the width hardly varies.
-        no_change_up: changes to the next higher index are forbidden.
-        no_change_down: changes to the next lower index are forbidden.
-        stop_offset_m: how far before its end vehicles stop, where the stop line lies there.
+        use: which vehicles may drive on it.
+        source: the same part of the source lane as text, "token:from:to".
+        widths: rows (K, 2) of arc length from the lane's beginning and width in m, including both ends, linear
+            between them; no rows if the width hardly varies.
+        no_change_up: whether changes to the next higher index are forbidden.
+        no_change_down: whether changes to the next lower index are forbidden.
+        stop_offset_m: distance of the stop line before the end of the lane; 0: at its end.
     """
 
     piece: Piece
@@ -92,7 +92,7 @@ class LanePlan:
 
 @dataclass(frozen=True, eq=False)
 class EdgePlan:
-    """An edge; *lanes* in SUMO's order (index 0 outermost)."""
+    """An edge from junction *origin* to junction *target*; *lanes* in SUMO's order (index 0 outermost)."""
 
     id: str
     origin: str
@@ -102,31 +102,41 @@ class EdgePlan:
 
     @property
     def length_m(self) -> float:
-        """Mean length of the lanes in m, which is what SUMO holds for all of them."""
+        """Mean length of the lanes in m, which SUMO uses for all of them."""
         return float(np.mean([line_length_m(lane.shape_m) for lane in self.lanes]))
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionPlan:
-    """A connection between two lanes with the shape of its internal lane; who *passes* waits for nobody."""
+    """A connection: the path through a junction from the end of one edge lane to the beginning of another.
+
+    Attributes:
+        origin: edge and lane at which it begins.
+        target: edge and lane at which it ends.
+        shape_m: (N, 2) centre line of its internal lane.
+        speed_mps: speed limit.
+        source: parts of source lanes that it consists of, as text.
+        lane_connection: the same parts by lane number.
+        passes: whether its vehicles yield to no others (SUMO's attribute ``pass``).
+    """
 
     origin: tuple[str, int]
     target: tuple[str, int]
     shape_m: FloatArray
     speed_mps: float
     source: str
-    way: LaneConnection
+    lane_connection: LaneConnection
     passes: bool = False
 
     @property
     def key(self) -> tuple[str, int, str, int]:
-        """Edge and lane that it leaves, edge and lane that it enters."""
+        """From edge and lane, to edge and lane."""
         return *self.origin, *self.target
 
 
 @dataclass(frozen=True, eq=False)
 class JunctionPlan:
-    """A junction."""
+    """A junction; *kind* is SUMO's type."""
 
     id: str
     xy_m: tuple[float, float]
@@ -147,12 +157,14 @@ class NetPlan:
     """All parts of a net, ready to be written as plain XML.
 
     Attributes:
+        lefthand: whether traffic keeps left.
         lane_of: the edge and lane that each piece of a source lane became.
         rings: roundabouts.
-        idle_signals: lights that stop nobody.
-        lamps: of the lights at the end of an edge, where the source tells them.
-        lights: names of those lights.
-        apart: pairs of ways, by the edges that they leave and enter, that run along each other for long.
+        idle_signals: names of the traffic lights that stop no lane.
+        lamps: by edge, the lamps of the lights at its end, if the source lists them.
+        lights: by edge, the names of these lights.
+        long_conflicts: pairs of connections, by from edge and to edge, that run close to each other over a long
+            distance.
     """
 
     edges: tuple[EdgePlan, ...]
@@ -164,21 +176,23 @@ class NetPlan:
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
     lights: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    apart: frozenset[frozenset[tuple[str, str]]] = frozenset()
+    long_conflicts: frozenset[frozenset[tuple[str, str]]] = frozenset()
 
     @cached_property
-    def way_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
-        """Connections by the edge and lane that they leave and enter."""
+    def connection_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
+        """Connections by from edge and lane, to edge and lane."""
         return {connection.key: connection for connection in self.connections}
 
 
-def plan_net(tracks: list[Track], layout: Layout, ways: list[LaneConnection], lefthand: bool) -> NetPlan:
-    """Return the net of a layout.
+def plan_net(
+    tracks: list[Track], layout: Layout, lane_connections: list[LaneConnection], lefthand: bool
+) -> NetPlan:
+    """Return the planned net of a layout.
 
     Args:
         tracks: lanes and connectors, numbered as in *layout*.
         layout: pieces and their groups.
-        ways: connections between pieces.
+        lane_connections: connections between pieces.
         lefthand: whether traffic keeps left; then lane 0 is the leftmost.
     """
     joints = layout.joints
@@ -194,7 +208,7 @@ def plan_net(tracks: list[Track], layout: Layout, ways: list[LaneConnection], le
         )
         edges.append(edge)
         lane_of.update({piece: (edge.id, index) for index, piece in enumerate(ordered)})
-    connections = [_connection_plan(tracks, lane_of, way) for way in ways]
+    connections = [_connection_plan(tracks, lane_of, connection) for connection in lane_connections]
     junctions = _junctions(edges, connections)
     return NetPlan(tuple(edges), tuple(junctions), tuple(connections), lefthand, lane_of)
 
@@ -222,7 +236,7 @@ def _lane_plan(track: Track, piece: Piece, lefthand: bool) -> LanePlan:
 
 
 def _profile(track: Track, piece: Piece) -> FloatArray:
-    """Return the widths along *piece*; no rows where they vary little."""
+    """Return rows (K, 2) of arc length along *piece* and width in m; no rows if the width varies little."""
     s = track.widths[:, 0]
     inside = s[(s > piece.from_m) & (s < piece.to_m)]
     if not len(inside):
@@ -239,23 +253,27 @@ def _source(track: Track, piece: Piece) -> str:
 
 
 def _connection_plan(
-    tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], way: LaneConnection
+    tracks: list[Track], lane_of: dict[Piece, tuple[str, int]], connection: LaneConnection
 ) -> ConnectionPlan:
-    parts = [polyline.cut(tracks[p.lane].centre_m, p.from_m, p.to_m) for p in way.parts]
-    if not parts:  # lanes that meet without anything between them
-        end = polyline.at(tracks[way.origin.lane].centre_m, way.origin.to_m)
-        start = polyline.at(tracks[way.target.lane].centre_m, way.target.from_m)
+    origin, target = connection.origin, connection.target
+    parts = [polyline.cut(tracks[p.lane].centre_m, p.from_m, p.to_m) for p in connection.parts]
+    if not parts:  # the lanes meet without a part between them
+        end = polyline.at(tracks[origin.lane].centre_m, origin.to_m)
+        start = polyline.at(tracks[target.lane].centre_m, target.from_m)
         parts = [np.stack((end, start))]
     shape = polyline.join(parts)
-    limit = min([tracks[lane].speed_mps for lane in way.lanes])
-    source = " ".join(_source(tracks[part.lane], part) for part in way.parts)
+    limit = min([tracks[lane].speed_mps for lane in connection.lanes])
+    source = " ".join(_source(tracks[part.lane], part) for part in connection.parts)
     return ConnectionPlan(
-        lane_of[way.origin], lane_of[way.target], shape, min(limit, turn_speed(shape)), source, way
+        lane_of[origin], lane_of[target], shape, min(limit, turn_speed(shape)), source, connection
     )
 
 
 def turn_speed(shape_m: FloatArray) -> float:
-    """Return the speed in m/s at which the tightest 8 m of a line take the comfortable sideways acceleration."""
+    """Return the speed in m/s at which the sharpest 8 m of a line need the lateral acceleration ``LATERAL_MPS2``.
+
+    It is at least ``SLOWEST_MPS``, and infinite for a straight or very short line.
+    """
     total = line_length_m(shape_m)
     span = min(8.0, total)
     if span < 1.0:
@@ -268,6 +286,7 @@ def turn_speed(shape_m: FloatArray) -> float:
 
 
 def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list[JunctionPlan]:
+    """Return the junctions at the ends of *edges*; those without a connection are dead ends."""
     ends: dict[str, list[FloatArray]] = defaultdict(list)
     bars: dict[str, list[Polygon]] = defaultdict(list)
     lines: dict[str, list[LineString]] = defaultdict(list)
@@ -295,7 +314,7 @@ def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list
 
 
 def end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
-    """Return a strip across the beginning of a lane: a decimetre of the junction and 5 mm of the lane."""
+    """Return a strip across the beginning of a lane that covers 0.1 m of the junction and ``LIP_M`` of the lane."""
     along = (shape_m[0] - shape_m[1]) / np.hypot(*(shape_m[0] - shape_m[1]))
     across = 0.5 * width_m * np.array([-along[1], along[0]])
     back, front = shape_m[0] + 0.1 * along, shape_m[0] - LIP_M * along
@@ -303,25 +322,29 @@ def end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
 
 
 def junction_shape(strips: list[Polygon], bars: list[Polygon], lanes: list[LineString]) -> Polygon:
-    """Return one polygon without holes that covers the ways through a junction and the ends of its lanes.
+    """Return one polygon without holes that covers the connections of a junction and the ends of its lanes.
 
-    netconvert moves the beginning of a lane to the last place where the lane crosses the shape of its own
-    junction, even for a lane with a shape of its own. So the polygon laps over each beginning by millimetres,
-    and a slit along the rest of the centre line keeps it from crossing the lane anywhere else.
+    netconvert moves the beginning of a lane to the last point where the lane crosses the shape of its junction, even
+    if the lane has a shape of its own. So the polygon overlaps each beginning by millimetres only. A slit along the
+    rest of the centre line prevents that the polygon crosses the lane anywhere else.
+
+    Args:
+        strips: areas of the connections.
+        bars: areas across the lane ends, see :func:`end_bar`.
+        lanes: centre lines of the lanes, drawn away from the junction.
     """
     whole = _closed(shapely.union_all([*strips, *bars])).union(shapely.union_all(bars))
     slits = shapely.union_all([_slit(lane) for lane in lanes])
-    if isinstance(
-        whole.difference(slits), MultiPolygon
-    ):  # a lane runs right across: lead the shape around its far end
+    # If a lane divides the polygon, extend it around the far end of the lane.
+    if isinstance(whole.difference(slits), MultiPolygon):
         whole = shapely.union_all([whole, *(lane.buffer(COLLAR_M) for lane in lanes)])
     parts = [part for part in shapely.get_parts(whole.difference(slits)) if part.area > 0]
-    best = max(parts, key=lambda part: (sum(part.distance(bar) < SLIT_M for bar in bars), part.area))
-    return _without_holes(best)
+    main_part = max(parts, key=lambda part: (sum(part.distance(bar) < SLIT_M for bar in bars), part.area))
+    return _without_holes(main_part)
 
 
 def _slit(lane: LineString) -> Polygon:
-    """Return a thin strip along a lane, from a little after its beginning to a little beyond its end."""
+    """Return a thin strip along a lane, from ``LIP_M`` after its beginning to a little beyond its end."""
     (x0, y0), (x1, y1) = lane.coords[-2], lane.coords[-1]
     beyond = 0.5 * COLLAR_M / math.hypot(x1 - x0, y1 - y0)
     longer = LineString([*lane.coords, (x1 + beyond * (x1 - x0), y1 + beyond * (y1 - y0))])
@@ -329,7 +352,7 @@ def _slit(lane: LineString) -> Polygon:
 
 
 def _without_holes(polygon: Polygon) -> Polygon:
-    """Open each hole to the outside by a cut of some centimetres at the narrowest place."""
+    """Return *polygon* with each hole opened to the outside by a cut of some centimetres at the narrowest place."""
     while polygon.interiors:
         cut = shapely.shortest_line(polygon.exterior, polygon.interiors[0]).buffer(SLIT_M, cap_style="square")
         polygon = max(shapely.get_parts(polygon.difference(cut)), key=lambda part: part.area)
@@ -337,6 +360,7 @@ def _without_holes(polygon: Polygon) -> Polygon:
 
 
 def _closed(shape: BaseGeometry) -> Polygon:
+    """Return *shape* as one polygon without holes: gaps between its parts are closed, else its convex hull."""
     for gap in (0.0, 0.5, 1.5, 4.0):
         closed = shape.buffer(gap, join_style="mitre").buffer(-gap, join_style="mitre") if gap else shape
         if isinstance(closed, Polygon) and not closed.is_empty:

@@ -1,4 +1,4 @@
-"""Geometry of a written net, read back with sumolib: what the checks look at."""
+"""Read the geometry of a written net with sumolib, for measurements and checks."""
 
 from __future__ import annotations
 
@@ -13,28 +13,26 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
-ConnectionKey = tuple[str, int, str, int]  # edge and lane that it leaves, edge and lane that it enters
+ConnectionKey = tuple[str, int, str, int]  # from edge and lane, to edge and lane
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenNet:
-    """Centre lines and widths of a net.
+    """Centre lines and widths of a net, without edges for pedestrians only.
 
     Attributes:
         lanes: by (edge, lane number) the centre line (N, 2) and the width in m of edge lanes.
-        ways: by connection the centre line (N, 2) and the width in m of its internal lanes, joined.
-        next_edges: edges that can be entered from each edge, return edges beyond the rim among them.
-
-    Edges that are for people on foot alone are left out.
+        connections: by connection the centre line (N, 2) and the width in m of its internal lanes, joined.
+        next_edges: the edges that follow each edge, including return edges and streets beyond the rim.
     """
 
     lanes: dict[tuple[str, int], tuple[FloatArray, float]]
-    ways: dict[ConnectionKey, tuple[FloatArray, float]]
+    connections: dict[ConnectionKey, tuple[FloatArray, float]]
     next_edges: dict[str, list[str]]
 
 
 def read_net(path: Path) -> WrittenNet:
-    """Read the net at *path*."""
+    """Return the geometry of the net at *path*; edges beyond the rim appear in ``next_edges`` only."""
     net = sumolib.net.readNet(str(path), withInternal=True)
     roads = [
         edge
@@ -49,10 +47,10 @@ def read_net(path: Path) -> WrittenNet:
         for lane in edge.getLanes()
     }
     targets = [(after, group) for edge in edges for after, group in edge.getOutgoing().items()]
-    connections = [c for after, group in targets if after.getType() != BEYOND_TYPE for c in group]
-    ways = {_key(connection): _way(net, connection) for connection in connections}
+    rows = [c for after, group in targets if after.getType() != BEYOND_TYPE for c in group]
+    connections = {_key(connection): _internal_line(net, connection) for connection in rows}
     following = {edge.getID(): sorted(after.getID() for after in edge.getOutgoing()) for edge in roads}
-    return WrittenNet(lanes, ways, following)
+    return WrittenNet(lanes, connections, following)
 
 
 def _key(connection: Any) -> ConnectionKey:
@@ -60,8 +58,8 @@ def _key(connection: Any) -> ConnectionKey:
     return (origin.getEdge().getID(), origin.getIndex(), target.getEdge().getID(), target.getIndex())
 
 
-def _way(net: Any, connection: Any) -> tuple[FloatArray, float]:
-    """Return the internal lanes of a connection one after the other (a waiting place divides some)."""
+def _internal_line(net: Any, connection: Any) -> tuple[FloatArray, float]:
+    """Return line (N, 2) and width in m of a connection's internal lanes, joined (a waiting position divides some)."""
     points: list[Any] = []
     width = float(connection.getFromLane().getWidth())
     via = connection.getViaLaneID()
@@ -77,6 +75,7 @@ def _way(net: Any, connection: Any) -> tuple[FloatArray, float]:
 
 
 def _line(points: Any) -> FloatArray:
+    """Return *points* as a line (N, 2) without heights and repeated points."""
     line = np.asarray([point[:2] for point in points], dtype=np.float64)
     kept = drop_repeats(line, 1e-4)
     return kept if len(kept) > 1 else line[[0, -1]]

@@ -17,8 +17,8 @@ from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.rim import ReturnEdge, return_connections, return_rows
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
-NOBODY = "custom2"  # a vehicle class that nothing uses
-ALLOWED = {
+NOBODY = "custom2"  # a vehicle class without vehicles; lane changes allowed to it alone are forbidden
+ALLOWED = {  # vehicle classes by use of a lane; "": SUMO's default
     LaneUse.CAR: "",
     LaneUse.BUS: "bus coach taxi emergency",
     LaneUse.BICYCLE: "bicycle",
@@ -36,13 +36,20 @@ def write_plain_xml(
 ) -> dict[str, Path]:
     """Write node, edge and connection files into *folder*; return them by netconvert's option name.
 
-    A *projection* goes into the location element, as netconvert's option ``--proj`` would read the coordinates as
-    degrees. *prohibitions* tell pairs of ways of which the second yields to the first. *returns* and *streets* lie
-    beyond the rim of the map.
+    Args:
+        plan: the planned net.
+        folder: where the files are written.
+        location: name of the place.
+        projection: PROJ string of the net's frame, if known. It goes into the element ``location``, because with
+            netconvert's option ``--proj`` the coordinates would be read as degrees.
+        prohibitions: pairs of connections of which the second yields to the first.
+        returns: return edges beyond the rim of the map.
+        streets: streets beyond the rim of the map.
     """
-    joined = {name for edge in returns for name in (edge.origin.target, edge.target.origin)}
+    joined_to_return = {name for edge in returns for name in (edge.origin.target, edge.target.origin)}
     junctions = [
-        replace(j, kind="priority") if j.id in joined and j.kind == "dead_end" else j for j in plan.junctions
+        replace(j, kind="priority") if j.id in joined_to_return and j.kind == "dead_end" else j
+        for j in plan.junctions
     ]
     nodes = [*([_location(plan, projection)] if projection else []), *map(_node, junctions), *streets.nodes]
     return {
@@ -112,9 +119,7 @@ def _edge(edge: EdgePlan, location: str) -> ET.Element:
         if ALLOWED[lane.use]:
             row.set("allow", ALLOWED[lane.use])
         for side, solid in (("changeLeft", lane.no_change_up), ("changeRight", lane.no_change_down)):
-            if (
-                solid or edge.length_m < CHANGE_M
-            ):  # SUMO's left is the higher index, on whichever side the traffic keeps
+            if solid or edge.length_m < CHANGE_M:  # "left" means the higher index, also in left-hand traffic
                 row.set(side, NOBODY)
         if lane.stop_offset_m > 0.0:
             ET.SubElement(row, "stopOffset", value=f"{lane.stop_offset_m:.2f}")
@@ -137,9 +142,9 @@ def _connections(
     for first, second in prohibitions:
         yield ET.Element("prohibition", prohibitor="->".join(first), prohibited="->".join(second))
     yield from return_connections(returns)
-    leaving = {connection.origin[0] for connection in plan.connections} | {e.origin.id for e in returns}
+    continued = {connection.origin[0] for connection in plan.connections} | {e.origin.id for e in returns}
     for edge in plan.edges:
-        if edge.id not in leaving:  # tells netconvert not to invent ways on
+        if edge.id not in continued:  # prevents that netconvert adds connections of its own
             yield ET.Element("connection", {"from": edge.id})
 
 
@@ -148,8 +153,8 @@ def _connection(connection: ConnectionPlan) -> ET.Element:
     element.set("fromLane", str(connection.origin[1]))
     element.set("toLane", str(connection.target[1]))
     element.set("shape", shape_text(connection.shape_m))
-    element.set("contPos", "0")  # who yields waits before the junction, not within reach of those that pass
-    for side in ("changeLeft", "changeRight"):  # ways of two lanes may come together inside a junction
+    element.set("contPos", "0")  # yielding vehicles wait before the junction, not inside it
+    for side in ("changeLeft", "changeRight"):  # connections of two lanes may come close inside a junction
         element.set(side, NOBODY)
     if connection.passes:
         element.set("pass", "true")

@@ -1,4 +1,4 @@
-"""Operations on one polyline (N, 2) by arc length."""
+"""Geometry of polylines (N, 2) in m, by arc length."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from advdiff_sumo.core.polylines import line_length_m, stations_m
 
 
 def at(line: FloatArray, s_m: FloatArray | float) -> FloatArray:
-    """Return the points (…, 2) at arc lengths *s_m*; outside the line its ends."""
+    """Return the points (…, 2) at arc lengths *s_m*; beyond the line, its end points."""
     s = stations_m(line)
     return np.stack([np.interp(s_m, s, line[:, 0]), np.interp(s_m, s, line[:, 1])], axis=-1)
 
 
 def heading(line: FloatArray, s_m: FloatArray) -> FloatArray:
-    """Return the yaw (M,) in rad of the chord that holds each arc length."""
+    """Return the yaw (M,) in rad of the line segment at each arc length."""
     s = stations_m(line)
     index = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(line) - 2)
     step = line[index + 1] - line[index]
@@ -25,24 +25,24 @@ def heading(line: FloatArray, s_m: FloatArray) -> FloatArray:
 
 
 def turns(line: FloatArray) -> FloatArray:
-    """Return by how much (N − 2,) the line turns at each of its inner points, to the left, in rad."""
+    """Return the change of heading (N − 2,) in rad at each inner point of the line, left positive."""
     step = np.diff(line, axis=0)
     yaw = np.arctan2(step[:, 1], step[:, 0])
     return np.asarray((np.diff(yaw) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 def direction(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the unit vector (2,) from one place to another."""
+    """Return the unit vector (2,) from point *start* to point *end*."""
     return np.asarray((end - start) / np.hypot(*(end - start)))
 
 
 def left_of(along: FloatArray) -> FloatArray:
-    """Return the vector (2,) to the left of *along*."""
+    """Return the vector (2,) *along* turned left by 90°."""
     return np.array([-along[1], along[0]])
 
 
 def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
-    """Return the part between two arc lengths, with points exactly there; the ends of the line are kept as is."""
+    """Return the part of *line* between two arc lengths, which are limited to the line."""
     s = stations_m(line)
     if from_m <= 0.0 and to_m >= s[-1]:
         return line
@@ -52,29 +52,29 @@ def cut(line: FloatArray, from_m: float, to_m: float) -> FloatArray:
 
 
 def project(line: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where *points* (M, 2) are nearest to *line*: arc length (M,) and signed offset (M,), left positive."""
+    """Project *points* (M, 2) onto *line*; return arc lengths (M,) and lateral offsets (M,) in m, left positive."""
     start, step = line[:-1], np.diff(line, axis=0)
     squared = np.maximum((step**2).sum(1), 1e-18)
     delta = points[:, None, :] - start  # (M, N-1, 2)
     share = np.clip((delta * step).sum(-1) / squared, 0.0, 1.0)
-    away = delta - share[..., None] * step
-    distance = np.hypot(away[..., 0], away[..., 1])
-    best = distance.argmin(1)
+    offset = delta - share[..., None] * step
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    nearest = distance.argmin(1)
     row = np.arange(len(points))
-    side = np.sign(step[best, 0] * delta[row, best, 1] - step[best, 1] * delta[row, best, 0])
-    s = stations_m(line)[best] + share[row, best] * np.sqrt(squared[best])
-    return s, np.where(side == 0, 1.0, side) * distance[row, best]
+    side = np.sign(step[nearest, 0] * delta[row, nearest, 1] - step[nearest, 1] * delta[row, nearest, 0])
+    s = stations_m(line)[nearest] + share[row, nearest] * np.sqrt(squared[nearest])
+    return s, np.where(side == 0, 1.0, side) * distance[row, nearest]
 
 
 def resample(line: FloatArray, step_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return (points (M, 2), arc lengths (M,)) about *step_m* apart, both ends included."""
+    """Return points (M, 2) at most about *step_m* apart, and their arc lengths (M,); both ends are included."""
     total = line_length_m(line)
     s = np.linspace(0.0, total, max(2, int(np.ceil(total / step_m)) + 1))
     return at(line, s), s
 
 
 def join(parts: list[FloatArray]) -> FloatArray:
-    """Return consecutive polylines as one; a point shared by two of them appears once."""
+    """Return consecutive polylines as one; a point that two of them share appears once."""
     whole = parts[0]
     for part in parts[1:]:
         first = 1 if np.hypot(*(part[0] - whole[-1])) < 1e-6 else 0
@@ -83,5 +83,5 @@ def join(parts: list[FloatArray]) -> FloatArray:
 
 
 def shape_text(points: FloatArray) -> str:
-    """Return "x,y x,y …" with millimetres kept."""
+    """Return "x,y x,y …" in m with four decimals."""
     return " ".join(f"{x:.4f},{y:.4f}" for x, y in points)

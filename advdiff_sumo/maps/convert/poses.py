@@ -1,4 +1,4 @@
-"""Do logged drives lie on the lanes of the net, as they lie on those of the HD map?"""
+"""Check that poses of logged drives lie on the net's lanes as they lie on the lanes of the HD map."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from advdiff_sumo.maps.convert.convert import ConversionResult
 from advdiff_sumo.maps.convert.netread import read_net
 from advdiff_sumo.maps.convert.widths import DEFAULT_WIDTH_M, width_between
 
-NEAR_M = 15.0
-MAX_TURN_RAD = 1.0  # a lane that runs otherwise is not the one driven on
+NEAR_M = 15.0  # lanes farther from a pose are not considered
+MAX_TURN_RAD = 1.0  # largest angle between a pose and the lane that it drives on
 TABLES = ("ego_pose", "sample_data", "sample", "scene", "log")
 
 
 def ego_poses(dataroot: Path, location: str) -> dict[str, FloatArray]:
-    """Return key-frame poses (N, 3) of x, y in m and yaw in rad by scene name, of all logs at *location*.
+    """Return the key-frame poses (N, 3; x, y in m, yaw in rad) of all logs at *location*, by scene name.
 
     Raises:
         LogError: the folder holds no nuScenes tables.
@@ -60,37 +60,43 @@ def _pose(row: dict[str, Any]) -> tuple[float, float, float]:
 
 
 def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]:
-    """Return how many poses (N, 3) lie on a lane of the net, and how their offsets differ from the HD map's."""
+    """Return how many poses (N, 3) lie on a lane of the net, and how lateral offsets in net and HD map differ."""
     if not len(poses):
         return {"poses": 0}
     net = read_net(result.net)
-    written = [*net.lanes.values(), *net.ways.values()]
+    written = [*net.lanes.values(), *net.connections.values()]
     tracks = result.tracks
     source = [(t.centre_m, width_between(t.widths, 0.0, t.length_m, DEFAULT_WIDTH_M)) for t in tracks]
     on_net, net_offset = nearest_offsets(written, poses)
     on_map, map_offset = nearest_offsets(source, poses)
     difference = np.abs(net_offset - map_offset)
-    nowhere = np.isnan(net_offset) & np.isnan(map_offset)  # near no lane of either: they agree
+    off_lane = np.isnan(net_offset) & np.isnan(map_offset)  # near no lane of either: they agree
     return {
         "poses": len(poses),
         "on_a_lane_of_the_net": int(on_net.sum()),
         "on_a_lane_of_the_map": int(on_map.sum()),
-        "lateral_offset_in_the_net_m": _spread(net_offset),
-        "lateral_offset_in_the_map_m": _spread(map_offset),
-        "difference_m": _spread(difference),
-        "differences_above_0.05_m": int((~(difference <= 0.05) & ~nowhere).sum()),
+        "lateral_offset_in_the_net_m": _statistics(net_offset),
+        "lateral_offset_in_the_map_m": _statistics(map_offset),
+        "difference_m": _statistics(difference),
+        "differences_above_0.05_m": int((~(difference <= 0.05) & ~off_lane).sum()),
     }
 
 
 def nearest_offsets(
     lanes: Sequence[tuple[FloatArray, float]], poses: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (whether on a lane (N,), distance (N,) in m to the nearest centre line that runs the pose's way).
+    """Return whether each pose is on a lane, and its lateral distance from the nearest lane of its direction.
 
-    A pose is on a lane when its centre lies within half the lane's width of the centre line; NaN: no lane near.
+    Args:
+        lanes: centre lines (N_i, 2) and widths in m.
+        poses: (N, 3) x, y in m and yaw in rad.
+
+    Returns:
+        Whether the pose lies within half the width of such a lane's centre line (N,), and the distance to the nearest
+        centre line in m (N,); NaN: there is none near.
     """
     tree = shapely.STRtree([shapely.LineString(line) for line, _ in lanes])
-    on = np.zeros(len(poses), dtype=bool)
+    on_lane = np.zeros(len(poses), dtype=bool)
     offset = np.full(len(poses), np.nan)
     for index, (x, y, yaw) in enumerate(poses):
         for number in tree.query(shapely.Point(x, y), predicate="dwithin", distance=NEAR_M):
@@ -98,12 +104,13 @@ def nearest_offsets(
             s, aside = polyline.project(line, np.array([[x, y]]))
             turn = abs((float(polyline.heading(line, s)[0]) - yaw + np.pi) % (2 * np.pi) - np.pi)
             if turn <= MAX_TURN_RAD:
-                on[index] |= abs(aside[0]) <= 0.5 * width
+                on_lane[index] |= abs(aside[0]) <= 0.5 * width
                 offset[index] = np.nanmin((offset[index], abs(aside[0])))
-    return on, offset
+    return on_lane, offset
 
 
-def _spread(values: FloatArray) -> dict[str, float | None]:
+def _statistics(values: FloatArray) -> dict[str, float | None]:
+    """Return median, 95th percentile and maximum of the finite *values*."""
     known = values[np.isfinite(values)]
     if not len(known):
         return {"median": None, "p95": None, "max": None}

@@ -1,4 +1,4 @@
-"""Where on the globe the nuScenes maps lie."""
+"""Projections of maps: PROJ strings whose plane is the frame of a map."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ARGOVERSE_CITIES = {  # UTM zone (all north), and latitude and longitude of the 
 
 
 def argoverse_projection(city: str) -> str:
-    """Return the PROJ string whose plane is the frame of an Argoverse 2 city: UTM, counted from the city's origin.
+    """Return the PROJ string whose plane is the frame of an Argoverse 2 city: UTM relative to the city's origin.
 
     The origins are those of ``av2.geometry.utm`` of the official API.
     """
@@ -36,7 +36,7 @@ def argoverse_projection(city: str) -> str:
 
 
 def utm_from(zone: int, east_m: float, north_m: float, *, south: bool = False) -> str:
-    """Return the PROJ string of a UTM zone with coordinates counted from a place in it."""
+    """Return the PROJ string of a UTM zone whose coordinates are relative to the point (*east_m*, *north_m*)."""
     return (
         f"+proj=tmerc +lat_0=0 +lon_0={6 * zone - 183} +k=0.9996 +x_0={500_000.0 - east_m:.4f} "
         f"+y_0={(10_000_000.0 if south else 0.0) - north_m:.4f} +ellps=WGS84 +units=m +no_defs"
@@ -44,19 +44,18 @@ def utm_from(zone: int, east_m: float, north_m: float, *, south: bool = False) -
 
 
 def projection_from(system: str, offset_m: tuple[float, float] = (0.0, 0.0)) -> str:
-    """Return the PROJ string of a projected *system* with coordinates counted from *offset_m* in it.
+    """Return the PROJ string of a projected *system* whose coordinates are relative to *offset_m*.
 
     Args:
-        system: PROJ string, WKT or code of an authority ("EPSG:32611"); heights in it are left aside.
-        offset_m: what is to be added to coordinates of the map to get those of the system.
+        system: PROJ string, WKT or code of an authority ("EPSG:32611"); its heights are ignored.
+        offset_m: vector from coordinates of the map to coordinates of the system: system = map + offset.
 
     Raises:
         ValueError: PROJ does not know the system, or it has no plane in metres; the message says which.
     """
     try:
-        with (
-            warnings.catch_warnings()
-        ):  # pyproj warns that PROJ strings hold less than WKT; SUMO takes nothing else
+        # pyproj warns that PROJ strings hold less than WKT, but SUMO reads nothing else.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             crs = pyproj.CRS.from_user_input(system.strip())
             crs = crs.sub_crs_list[0] if crs.is_compound else crs
@@ -69,17 +68,17 @@ def projection_from(system: str, offset_m: tuple[float, float] = (0.0, 0.0)) -> 
         raise ValueError("is no coordinate system in metres")
     values = {key: value for key, _, value in (word.partition("=") for word in words) if key != "+type"}
     if any(offset_m):
-        values = _counted_from(offset_m, values)
+        values = _shifted(offset_m, values)
     return " ".join(f"{key}={value}" if value else key for key, value in values.items())
 
 
-def _counted_from(offset_m: tuple[float, float], values: dict[str, str]) -> dict[str, str]:
-    """Return the parameters of a projection whose coordinates are counted from a place in it."""
-    if values["+proj"] == "utm":  # which admits no false easting but its own
-        own = {"+lat_0": "0", "+lon_0": str(6 * int(values.pop("+zone")) - 183), "+k": "0.9996"}
-        own |= {"+x_0": "500000", "+y_0": "10000000" if "+south" in values else "0"}
-        rest = {key: value for key, value in values.items() if key not in ("+proj", "+south")}
-        values = {"+proj": "tmerc"} | own | rest
+def _shifted(offset_m: tuple[float, float], values: dict[str, str]) -> dict[str, str]:
+    """Return the parameters of a projection whose coordinates are smaller by *offset_m*."""
+    if values["+proj"] == "utm":  # "utm" accepts no false easting and northing, so it becomes "tmerc"
+        utm = {"+lat_0": "0", "+lon_0": str(6 * int(values.pop("+zone")) - 183), "+k": "0.9996"}
+        utm |= {"+x_0": "500000", "+y_0": "10000000" if "+south" in values else "0"}
+        other_values = {key: value for key, value in values.items() if key not in ("+proj", "+south")}
+        values = {"+proj": "tmerc"} | utm | other_values
     x_m, y_m = (
         float(values.get(key, 0.0)) - metres for key, metres in zip(("+x_0", "+y_0"), offset_m, strict=True)
     )
@@ -87,10 +86,10 @@ def _counted_from(offset_m: tuple[float, float], values: dict[str, str]) -> dict
 
 
 def projection_of(location: str) -> str | None:
-    """Return the PROJ string whose plane is the frame of *location*, or None for an unknown place.
+    """Return the PROJ string whose plane is the frame of a nuScenes *location*, or None for an unknown one.
 
-    An azimuthal equidistant projection on a sphere of the equatorial radius is what the nuScenes devkit's own
-    latitudes and longitudes follow.
+    The latitudes and longitudes of the nuScenes devkit follow an azimuthal equidistant projection on a sphere of the
+    equatorial radius.
     """
     origin = ORIGINS_DEG.get(location)
     return (
@@ -99,5 +98,5 @@ def projection_of(location: str) -> str | None:
 
 
 def drives_left(location: str) -> bool:
-    """Return whether traffic keeps left there: in Singapore, by the names of nuScenes and of nuPlan."""
+    """Return whether traffic keeps left at *location*: in Singapore, as nuScenes and nuPlan name its places."""
     return location.startswith(("singapore", "sg-"))

@@ -1,7 +1,7 @@
-"""Polyline → smooth chain of straight lines and arcs, as the reference line of an OpenDRIVE road.
+"""Turn a polyline into straight lines and arcs without kinks, as the reference line of an OpenDRIVE road.
 
-Chords of a curve meet at angles, which tears the borders of adjoining lanes apart. Here each corner becomes an arc
-tangent to both chords, and a road can be made to begin and end with a given yaw.
+The segments of a polyline meet at angles, so the borders of consecutive lanes would not meet. Here each corner becomes
+an arc tangent to both segments, and the line gets a given yaw at both ends.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.maps.convert import polyline
 
-OFF_M = 0.01  # a corner is cut by at most this
-BEND_OFF_M = 0.02  # bending an end to a given yaw moves the line by at most this
-BEND_M = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01, 0.005)  # tried in this order
-STRAIGHT_RAD = 1e-6
-SHORTEST_M = 1e-6
-STUB_M = 0.1  # corners nearer to an end are left out: they would turn the whole lane's border there
-SAGITTA_M = 0.004  # chords that lie nearer to their arc are taken for chords of an arc
-SAME_PER_M = 1e-6
+OFF_M = 0.01  # largest distance between a corner and its arc
+BEND_OFF_M = 0.02  # largest shift of the line by bending an end to a given yaw
+BEND_M = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01, 0.005)  # lengths of a bent end, tried in this order
+STRAIGHT_RAD = 1e-6  # smaller changes of heading are ignored
+SHORTEST_M = 1e-6  # shorter straight lines are left out
+STUB_M = 0.1  # corners nearer to an end are removed: they would turn the border of the whole lane
+SAGITTA_M = 0.004  # segments that would deviate less from an arc are taken for parts of an arc
+SAME_PER_M = 1e-6  # curvatures that differ by less are equal
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A straight line or arc from a pose (m, rad) on; *curvature* in 1/m, left positive."""
+    """A straight line or arc that begins at a pose (m, rad); *curvature* in 1/m, left positive."""
 
     x: float
     y: float
@@ -37,12 +37,15 @@ class Stretch:
 
 
 def end_yaw(line: FloatArray) -> float:
-    """Return the yaw in rad in which *line* (N, 2) ends: of the circle that it ends on, else of its last chord."""
+    """Return the yaw in rad at the end of *line* (N, 2), see :func:`start_yaw`."""
     return _wrapped(start_yaw(line[::-1]) + math.pi)
 
 
 def start_yaw(line: FloatArray) -> float:
-    """Return the yaw in rad in which *line* (N, 2) begins, likewise."""
+    """Return the yaw in rad at the beginning of *line* (N, 2).
+
+    It is that of the circle through the first three points if they lie on an arc, else that of the first segment.
+    """
     step = np.diff(_without_stubs(line)[:3], axis=0)
     yaw = np.arctan2(step[:, 1], step[:, 0])
     if len(step) < 2:
@@ -55,12 +58,16 @@ def start_yaw(line: FloatArray) -> float:
 
 
 def smooth(line: FloatArray, from_yaw: float, to_yaw: float) -> list[Stretch]:
-    """Return stretches without a kink that follow *line* (N, 2) to ``BEND_OFF_M`` and have its ends and these yaws."""
+    """Return stretches without kinks that follow *line* (N, 2) within ``BEND_OFF_M``.
+
+    They begin and end where *line* does, with the yaws *from_yaw* and *to_yaw* in rad.
+    """
     bent = _bent(_bent(_without_stubs(line), from_yaw)[::-1], _wrapped(to_yaw + math.pi))[::-1]
     return _merged(_filleted(_without_straight_corners(bent)))
 
 
 def _without_stubs(line: FloatArray) -> FloatArray:
+    """Return *line* without inner points nearer than ``STUB_M`` to an end."""
     s = stations_m(line)
     kept = (s > STUB_M) & (s < s[-1] - STUB_M)
     kept[[0, -1]] = True
@@ -68,23 +75,23 @@ def _without_stubs(line: FloatArray) -> FloatArray:
 
 
 def _bent(line: FloatArray, yaw: float) -> FloatArray:
-    """Return *line* beginning in the direction *yaw*, bent over the longest way that keeps it in place."""
+    """Return *line* with a beginning bent to *yaw* in rad, as long as the shift stays within ``BEND_OFF_M``."""
     along = np.array([math.cos(yaw), math.sin(yaw)])
     step = line[1] - line[0]
     if abs(_wrapped(math.atan2(step[1], step[0]) - yaw)) < STRAIGHT_RAD:
         return line
-    s, best = stations_m(line), line
+    s, bent = stations_m(line), line
     for reach in BEND_M:
-        joined = 3.0 * reach  # the arc at the corner then takes the whole way from the end to it
-        if 2.0 * joined > s[-1]:
+        rejoin_m = 3.0 * reach  # so that the arc at the corner can begin at the end of the line
+        if 2.0 * rejoin_m > s[-1]:
             continue
         corner = line[0] + reach * along
-        after = np.vstack((polyline.at(line, joined), line[s > joined + 1e-3]))
-        best = np.vstack((line[0], corner, after))
-        places = polyline.at(line, np.linspace(0.0, joined, 9))
-        if np.abs(polyline.project(best[:3], places)[1]).max() <= BEND_OFF_M:
+        after = np.vstack((polyline.at(line, rejoin_m), line[s > rejoin_m + 1e-3]))
+        bent = np.vstack((line[0], corner, after))
+        points = polyline.at(line, np.linspace(0.0, rejoin_m, 9))
+        if np.abs(polyline.project(bent[:3], points)[1]).max() <= BEND_OFF_M:
             break
-    return best
+    return bent
 
 
 def _without_straight_corners(line: FloatArray) -> FloatArray:
@@ -93,7 +100,7 @@ def _without_straight_corners(line: FloatArray) -> FloatArray:
 
 
 def _filleted(line: FloatArray) -> list[Stretch]:
-    """Return the chords of *line* with an arc tangent to both at each corner."""
+    """Return the segments of *line*, with an arc tangent to both segments at each corner."""
     step = np.diff(line, axis=0)
     length = np.hypot(step[:, 0], step[:, 1])
     unit, turn = step / length[:, None], polyline.turns(line)
@@ -106,9 +113,9 @@ def _filleted(line: FloatArray) -> list[Stretch]:
     for i in range(len(length)):
         yaw = math.atan2(unit[i, 1], unit[i, 0])
         x, y = line[i] + before[i] * unit[i]
-        rest = float(length[i] - before[i] - after[i])
-        if rest > SHORTEST_M:
-            stretches.append(Stretch(float(x), float(y), yaw, rest, 0.0))
+        straight_m = float(length[i] - before[i] - after[i])
+        if straight_m > SHORTEST_M:
+            stretches.append(Stretch(float(x), float(y), yaw, straight_m, 0.0))
         if i < len(turn):
             x, y = line[i + 1] - after[i] * unit[i]
             curvature = math.tan(0.5 * turn[i]) / float(after[i])
@@ -117,7 +124,7 @@ def _filleted(line: FloatArray) -> list[Stretch]:
 
 
 def _merged(stretches: list[Stretch]) -> list[Stretch]:
-    """Return *stretches* with neighbours of one curvature made one."""
+    """Return *stretches* with consecutive ones of equal curvature joined."""
     kept = stretches[:1]
     for stretch in stretches[1:]:
         last = kept[-1]
@@ -129,4 +136,5 @@ def _merged(stretches: list[Stretch]) -> list[Stretch]:
 
 
 def _wrapped(angle: float) -> float:
+    """Return *angle* in rad within [−π, π)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,4 +1,4 @@
-"""Mend what geometry makes certain; count all of it."""
+"""Repair a source map where geometry leaves no doubt, and count each repair."""
 
 from __future__ import annotations
 
@@ -13,45 +13,50 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
-GAP_M = 0.5  # a lane that begins this near to the end of another one, in its direction, follows it
-SAME_WAY_RAD = 0.35
+GAP_M = 0.5  # a lane that begins at most this far from the end of another one, in its direction, follows it
+SAME_WAY_RAD = 0.35  # largest change of heading between consecutive lanes
 TINY_M = 1.0  # netconvert cannot hold shorter edges
-SAME_LANE_M = 0.1  # two lanes that are nowhere farther apart are one
-LONGEST_CONNECTOR_M = 80.0
+SAME_LANE_M = 0.1  # lanes whose centre lines are nowhere farther apart are duplicates
+LONGEST_CONNECTOR_M = 80.0  # longer lanes are not taken for connectors
 
 
 def repair(source: SourceMap) -> SourceMap:
-    """Return *source* without duplicate lanes, with missing links added and junction lanes told from road lanes.
+    """Return *source* without duplicate lanes, with missing links added and with connectors marked.
 
-    Counts go into ``notes``; each kind of repair that happened also gets a sentence in ``warnings``.
+    Connectors are marked by geometry if the source marks none. Each repair is counted in ``notes``.
     """
     notes = Counter(source.notes)
     lanes, links, kept_for = _merge_duplicates(list(source.lanes), list(source.links), notes)
     signals = (
-        replace(one, lanes=tuple(kept_for.get(lane, lane) for lane in one.lanes)) for one in source.signals
+        replace(signal, lanes=tuple(kept_for.get(lane, lane) for lane in signal.lanes))
+        for signal in source.signals
     )
     links = _add_links(lanes, links, notes)
     _count_gaps(lanes, links, notes)
     if not any(lane.is_connector for lane in lanes):
         lanes = _mark_connectors(lanes, links, notes)
-    lanes = [_inside_if_tiny(lane, notes) for lane in lanes]
+    lanes = [_connector_if_tiny(lane, notes) for lane in lanes]
     return replace(source, lanes=tuple(lanes), links=tuple(links), signals=tuple(signals), notes=notes)
 
 
 def _merge_duplicates(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> tuple[list[SourceLane], list[tuple[str, str]], dict[str, str]]:
-    """Keep the first of lanes with one centre line and give it the links of the others; return who stands for whom."""
+    """Merge lanes with the same centre line into the first of them, which gets the links of the others.
+
+    Returns:
+        The lanes, the links, and for each removed token the token of the lane that replaces it.
+    """
     lines = [shapely.LineString(lane.centre_m) for lane in lanes]
     starts = np.array([lane.centre_m[0] for lane in lanes])
     kept_for: dict[str, str] = {}
     for a, b in sorted(cKDTree(starts).query_pairs(SAME_LANE_M)):
-        one, other = lanes[a], lanes[b]
-        if one.token in kept_for or other.token in kept_for or one.is_connector != other.is_connector:
+        kept, removed = lanes[a], lanes[b]
+        if kept.token in kept_for or removed.token in kept_for or kept.is_connector != removed.is_connector:
             continue
-        same_end = np.hypot(*(one.centre_m[-1] - other.centre_m[-1])) <= SAME_LANE_M
+        same_end = np.hypot(*(kept.centre_m[-1] - removed.centre_m[-1])) <= SAME_LANE_M
         if same_end and shapely.hausdorff_distance(lines[a], lines[b], densify=0.1) <= SAME_LANE_M:
-            kept_for[other.token] = one.token
+            kept_for[removed.token] = kept.token
     notes["duplicate lanes merged"] += len(kept_for)
     moved = [(kept_for.get(a, a), kept_for.get(b, b)) for a, b in links]
     return [lane for lane in lanes if lane.token not in kept_for], list(dict.fromkeys(moved)), kept_for
@@ -60,32 +65,40 @@ def _merge_duplicates(
 def _add_links(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> list[tuple[str, str]]:
-    """Link each end without a link to the lanes that begin there in its direction, and each beginning likewise."""
+    """Link lane ends without a successor, and lane beginnings without a predecessor, to lanes that meet them there.
+
+    The lanes must have about the same heading and must not both be connectors.
+    """
     starts = np.array([lane.centre_m[0] for lane in lanes])
     ends = np.array([lane.centre_m[-1] for lane in lanes])
     has_next, has_previous = {a for a, _ in links}, {b for _, b in links}
     known = set(links)
     added = []
-    for number, near in enumerate(cKDTree(starts).query_ball_point(ends, GAP_M)):
-        for other in sorted(near):
-            one, two = lanes[number], lanes[other]
-            open_ends = one.token not in has_next or two.token not in has_previous
-            kinds = one.is_connector and two.is_connector
-            if number != other and open_ends and not kinds and _in_line(one.centre_m, two.centre_m):
-                added.append((one.token, two.token))
+    for before_number, near in enumerate(cKDTree(starts).query_ball_point(ends, GAP_M)):
+        for after_number in sorted(near):
+            before, after = lanes[before_number], lanes[after_number]
+            is_open = before.token not in has_next or after.token not in has_previous
+            if (
+                before_number != after_number
+                and is_open
+                and not (before.is_connector and after.is_connector)
+                and _in_line(before.centre_m, after.centre_m)
+            ):
+                added.append((before.token, after.token))
     new = [link for link in dict.fromkeys(added) if link not in known]
     notes["links added by geometry"] += len(new)
     return links + new
 
 
 def _in_line(before: FloatArray, after: FloatArray) -> bool:
-    """Return whether *after* goes on in the direction of *before*."""
+    """Return whether line *after* begins with about the heading with which line *before* ends."""
     last, first = before[-1] - before[-2], after[1] - after[0]
     turn = np.arctan2(last[0] * first[1] - last[1] * first[0], float(last @ first))
     return bool(abs(turn) <= SAME_WAY_RAD)
 
 
 def _count_gaps(lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]) -> None:
+    """Count the links between lanes that do not quite meet."""
     line = {lane.token: lane.centre_m for lane in lanes}
     gaps = [float(np.hypot(*(line[a][-1] - line[b][0]))) for a, b in links]
     notes["gaps under 0.5 m bridged"] += sum(0.01 < gap <= GAP_M for gap in gaps)
@@ -95,7 +108,11 @@ def _count_gaps(lanes: list[SourceLane], links: list[tuple[str, str]], notes: Co
 def _mark_connectors(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> list[SourceLane]:
-    """Tell junction lanes in a source that does not: short lanes on one of several ways on, or that others cross."""
+    """Mark the connectors of a source that marks none.
+
+    Connectors are short lanes with predecessor and successor, if one of these has further links on the same side (a
+    fork or a merge) or if another lane crosses the lane.
+    """
     after, before = defaultdict(set), defaultdict(set)
     for a, b in links:
         after[a].add(b)
@@ -108,14 +125,15 @@ def _mark_connectors(
         forks = any(len(after[a]) > 1 for a in before[lane.token]) or any(
             len(before[b]) > 1 for b in after[lane.token]
         )
-        inner = bool(after[lane.token]) and bool(before[lane.token])
-        short = line_length_m(lane.centre_m) <= LONGEST_CONNECTOR_M
-        marked.append(replace(lane, is_connector=inner and short and (forks or lane.token in crossed)))
+        is_linked = bool(after[lane.token]) and bool(before[lane.token])
+        is_short = line_length_m(lane.centre_m) <= LONGEST_CONNECTOR_M
+        marked.append(replace(lane, is_connector=is_linked and is_short and (forks or lane.token in crossed)))
     notes["lanes taken for connectors"] += sum(lane.is_connector for lane in marked)
     return marked
 
 
-def _inside_if_tiny(lane: SourceLane, notes: Counter[str]) -> SourceLane:
+def _connector_if_tiny(lane: SourceLane, notes: Counter[str]) -> SourceLane:
+    """Return *lane* as a connector if it is too short for an edge."""
     if lane.is_connector or line_length_m(lane.centre_m) >= TINY_M:
         return lane
     notes["lanes under a metre put inside a junction"] += 1

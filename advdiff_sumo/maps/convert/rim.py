@@ -1,6 +1,6 @@
-"""Return edges from where a clipped map ends to where it begins, so that traffic flows endlessly.
+"""Add return edges from the exits of a clipped map to its entries, so that traffic never runs out.
 
-They lie beside the map, not on it, have the type :data:`BEYOND_TYPE`, and nothing is measured on them.
+They lie west of the map and have the type :data:`BEYOND_TYPE`. Nothing is measured on them.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from advdiff_sumo.maps.convert.annotate import LANE
 from advdiff_sumo.maps.convert.entry_room import blocked_entries
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
-from advdiff_sumo.maps.convert.routability import reached, strong_parts
+from advdiff_sumo.maps.convert.routability import reachable, strong_parts
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
-LENGTH_M = 100.0
-SPEED_MPS = 13.89
-WAY_M = 15.0
-ASIDE_M, APART_M = 300.0, 10.0  # from the map's western rim, and from each other
+LENGTH_M = 100.0  # of a return edge
+SPEED_MPS = 13.89  # speed limit on it
+CONNECTION_M = 15.0  # length of a connection to or from it, enough for a car and its gap
+WEST_M = 300.0  # distance from the western rim of the map
+APART_M = 10.0  # distance between return edges
 VIA = re.compile(
-    r'<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)" fromLane="(?P<leaves>\d+)"'
-    r' toLane="(?P<enters>\d+)"[^>]* via="(?P<via>[^"]+)"'
+    r'<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)" fromLane="(?P<from_lane>\d+)"'
+    r' toLane="(?P<to_lane>\d+)"[^>]* via="(?P<via>[^"]+)"'
 )
 
 
 @dataclass(frozen=True)
 class ReturnEdge:
-    """An edge from the end of edge *origin*, which leads nowhere, to *target*, which nothing leads to."""
+    """An edge from the end of *origin*, an edge without successor, to *target*, an edge without predecessor."""
 
     id: str
     origin: EdgePlan
@@ -44,34 +45,40 @@ class ReturnEdge:
 def return_edges(
     plan: NetPlan, following_beyond: Mapping[str, Sequence[str]] | None = None
 ) -> tuple[tuple[ReturnEdge, ...], list[str]]:
-    """Return edges that join every dead end to a beginning, every beginning to a dead end; and what stays open.
+    """Return the return edges of a net, and the entries that stay without one.
 
-    Each takes the nearest partner that is left; then partners are exchanged until all edges that can reach a dead
-    end can reach each other. Beginnings that lie on other lanes of the map (:mod:`.entry_room`) stay open, and so do
-    beginnings and dead ends in a signalled junction, whose program knows the map's ways alone. Without dead ends or
-    other beginnings there is no return edge. *following_beyond* tells which edges follow each street beyond the rim,
-    where there are any.
+    An exit is an edge without successor, an entry one without predecessor. Exits and entries are paired, nearest first.
+    Then partners are exchanged until all edges that can reach an exit can reach each other. Exits that no entry leads
+    to are joined to the nearest entry afterwards.
+
+    Entries that lie on other lanes of the map (:mod:`.entry_room`) get no return edge. The same holds for entries and
+    exits in a signalled junction, as its program covers the connections of the map only. Without exits or entries left
+    there are no return edges.
+
+    Args:
+        plan: the planned net.
+        following_beyond: the edges that follow each street beyond the rim, if there are streets.
     """
     following = _following(plan, following_beyond or {})
     entered = {after for names in following.values() for after in names}
     edges = {edge.id: edge for edge in plan.edges}
     signalled = {junction.id for junction in plan.junctions if junction.kind == "traffic_light"}
-    ends = [name for name, edge in edges.items() if not following[name] and edge.target not in signalled]
-    beginnings = [name for name in edges if name not in entered]
-    blocked = {*blocked_entries(plan, beginnings), *(n for n in beginnings if edges[n].origin in signalled)}
-    left_open = [name for name in beginnings if name in blocked]
-    starts = [name for name in beginnings if name not in left_open]
-    if not ends or not starts:
+    exits = [name for name, edge in edges.items() if not following[name] and edge.target not in signalled]
+    all_entries = [name for name in edges if name not in entered]
+    blocked = {*blocked_entries(plan, all_entries), *(n for n in all_entries if edges[n].origin in signalled)}
+    left_open = [name for name in all_entries if name in blocked]
+    entries = [name for name in all_entries if name not in left_open]
+    if not exits or not entries:
         return (), left_open
-    unused = set(ends) - reached(starts, following)  # nobody comes there who could serve a beginning
-    served = [name for name in ends if name not in unused] or ends
-    pairs = _joined(_nearest(edges, served, starts), following)
-    rest = [name for name in ends if name not in served]
-    pairs += _to_nearest(edges, rest, starts)
+    unused = set(exits) - reachable(entries, following)  # without traffic that could return to an entry
+    used = [name for name in exits if name not in unused] or exits
+    pairs = _strongly_connected(_pair_nearest(edges, used, entries), following)
+    pairs += _pair_each_with_nearest(edges, [name for name in exits if name not in used], entries)
     return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs)), left_open
 
 
 def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """Return the edges that follow each edge of *plan* and each street *beyond* the rim."""
     following: dict[str, dict[str, None]] = {edge.id: {} for edge in plan.edges}
     following |= {name: dict.fromkeys(after) for name, after in beyond.items()}
     for connection in plan.connections:
@@ -79,41 +86,47 @@ def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, 
     return {name: list(after) for name, after in following.items()}
 
 
-def _nearest(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> list[tuple[str, str]]:
-    """Pair ends and starts, nearest first; those of the longer list that are left take any nearest partner."""
-    gaps = _gaps_m(edges, ends, starts)
-    free_a, free_b = set(range(len(ends))), set(range(len(starts)))
+def _pair_nearest(
+    edges: Mapping[str, EdgePlan], exits: list[str], entries: list[str]
+) -> list[tuple[str, str]]:
+    """Pair exits and entries, nearest first; those left of the longer list take their nearest partner again."""
+    distances = _distances_m(edges, exits, entries)
+    free_exits, free_entries = set(range(len(exits))), set(range(len(entries)))
     pairs = []
-    for flat in np.argsort(gaps, axis=None, kind="stable").tolist():
-        i, j = divmod(flat, len(starts))
-        both = i in free_a and j in free_b
-        rest = (i in free_a and not free_b) or (j in free_b and not free_a)
-        if both or rest:
+    for flat in np.argsort(distances, axis=None, kind="stable").tolist():
+        i, j = divmod(flat, len(entries))
+        both_free = i in free_exits and j in free_entries
+        left_over = (i in free_exits and not free_entries) or (j in free_entries and not free_exits)
+        if both_free or left_over:
             pairs.append((i, j))
-            free_a.discard(i)
-            free_b.discard(j)
-    pairs += [(i, int(gaps[i].argmin())) for i in sorted(free_a)]
-    pairs += [(int(gaps[:, j].argmin()), j) for j in sorted(free_b)]
-    return [(ends[i], starts[j]) for i, j in pairs]
+            free_exits.discard(i)
+            free_entries.discard(j)
+    pairs += [(i, int(distances[i].argmin())) for i in sorted(free_exits)]
+    pairs += [(int(distances[:, j].argmin()), j) for j in sorted(free_entries)]
+    return [(exits[i], entries[j]) for i, j in pairs]
 
 
-def _to_nearest(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> list[tuple[str, str]]:
-    """Pair each of *ends* with its nearest start."""
-    if not ends:
+def _pair_each_with_nearest(
+    edges: Mapping[str, EdgePlan], exits: list[str], entries: list[str]
+) -> list[tuple[str, str]]:
+    """Pair each of *exits* with its nearest entry."""
+    if not exits:
         return []
-    gaps = _gaps_m(edges, ends, starts)
-    return [(name, starts[row.argmin()]) for name, row in zip(ends, gaps, strict=True)]
+    distances = _distances_m(edges, exits, entries)
+    return [(name, entries[row.argmin()]) for name, row in zip(exits, distances, strict=True)]
 
 
-def _gaps_m(edges: Mapping[str, EdgePlan], ends: list[str], starts: list[str]) -> FloatArray:
-    """Return the distances (E, S) from ends to starts in m."""
-    a = np.array([edges[name].lanes[0].shape_m[-1] for name in ends])
-    b = np.array([edges[name].lanes[0].shape_m[0] for name in starts])
-    return np.asarray(np.linalg.norm(a[:, None] - b, axis=-1))
+def _distances_m(edges: Mapping[str, EdgePlan], exits: list[str], entries: list[str]) -> FloatArray:
+    """Return the distances (number of exits, number of entries) from exits to entries in m."""
+    ends = np.array([edges[name].lanes[0].shape_m[-1] for name in exits])
+    starts = np.array([edges[name].lanes[0].shape_m[0] for name in entries])
+    return np.asarray(np.linalg.norm(ends[:, None] - starts, axis=-1))
 
 
-def _joined(pairs: list[tuple[str, str]], following: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
-    """Exchange the partners of pairs in different strongly connected parts, which makes the parts one."""
+def _strongly_connected(
+    pairs: list[tuple[str, str]], following: Mapping[str, Sequence[str]]
+) -> list[tuple[str, str]]:
+    """Exchange partners between pairs of different strongly connected parts of the net, until it has one part."""
     while True:
         graph: dict[str, list[str]] = {name: list(after) for name, after in following.items()}
         for a, b in pairs:
@@ -126,8 +139,9 @@ def _joined(pairs: list[tuple[str, str]], following: Mapping[str, Sequence[str]]
         parts = sorted(inside)
         if len(parts) < 2:
             return pairs
-        one, other = inside[parts[0]][0], inside[parts[1]][0]
-        pairs[one], pairs[other] = (pairs[one][0], pairs[other][1]), (pairs[other][0], pairs[one][1])
+        first, second = inside[parts[0]][0], inside[parts[1]][0]
+        (exit_1, entry_1), (exit_2, entry_2) = pairs[first], pairs[second]
+        pairs[first], pairs[second] = (exit_1, entry_2), (exit_2, entry_1)
 
 
 def return_rows(edges: Sequence[ReturnEdge]) -> Iterator[ET.Element]:
@@ -144,7 +158,7 @@ def return_rows(edges: Sequence[ReturnEdge]) -> Iterator[ET.Element]:
 
 
 def return_connections(edges: Sequence[ReturnEdge]) -> Iterator[ET.Element]:
-    """Yield the connections from every lane of the dead end and to every lane of the beginning."""
+    """Yield the connections from every lane of the exit to a return edge, and from it to every lane of the entry."""
     for edge in edges:
         for lane in range(len(edge.origin.lanes)):
             yield _connection(edge.origin.id, edge.id, lane, 0)
@@ -152,30 +166,31 @@ def return_connections(edges: Sequence[ReturnEdge]) -> Iterator[ET.Element]:
             yield _connection(edge.id, edge.target.id, 0, lane)
 
 
-def _connection(origin: str, target: str, leaves: int, enters: int) -> ET.Element:
+def _connection(origin: str, target: str, from_lane: int, to_lane: int) -> ET.Element:
     row = ET.Element("connection", {"from": origin, "to": target})
-    row.set("fromLane", str(leaves))
-    row.set("toLane", str(enters))
+    row.set("fromLane", str(from_lane))
+    row.set("toLane", str(to_lane))
     row.set("contPos", "0")
     return row
 
 
-def put_aside(net: Path, plan: NetPlan, edges: Sequence[ReturnEdge]) -> None:
-    """Move the return edges of *net* to the west of the map; the ways to and from them go straight on at its rim.
+def move_return_edges(net: Path, plan: NetPlan, edges: Sequence[ReturnEdge]) -> None:
+    """Move the return edges of *net* to the west of the map.
 
-    The ways are as long as a car and its gap, so that a car on the map has its whole body there or on the way.
+    The connections to and from them continue the lanes of the map straight ahead. They are as long as a car and its
+    gap, so that the body of a car whose front is on the map lies on the map or on the connection.
     """
     text = net.read_text(encoding="utf-8")
-    shapes = _lines(plan, edges)
+    shapes = _return_shapes(plan, edges)
     lane_m = {(edge.id, n): lane.shape_m for edge in plan.edges for n, lane in enumerate(edge.lanes)}
     returns = {edge.id for edge in edges}
     for match in VIA.finditer(text):
         if match["target"] in returns:
-            end, before = lane_m[match["origin"], int(match["leaves"])][[-1, -2]]
-            shapes[match["via"]] = np.array([end, end + _towards(before, end)])
+            end, before = lane_m[match["origin"], int(match["from_lane"])][[-1, -2]]
+            shapes[match["via"]] = np.array([end, end + _connection_vector(before, end)])
         elif match["origin"] in returns:
-            start, after = lane_m[match["target"], int(match["enters"])][[0, 1]]
-            shapes[match["via"]] = np.array([start + _towards(after, start), start])
+            start, after = lane_m[match["target"], int(match["to_lane"])][[0, 1]]
+            shapes[match["via"]] = np.array([start + _connection_vector(after, start), start])
 
     def moved(match: re.Match[str]) -> str:
         shape = shapes.get(match["id"])
@@ -184,15 +199,15 @@ def put_aside(net: Path, plan: NetPlan, edges: Sequence[ReturnEdge]) -> None:
     net.write_text(LANE.sub(moved, text), encoding="utf-8")
 
 
-def _lines(plan: NetPlan, edges: Sequence[ReturnEdge]) -> dict[str, FloatArray]:
-    """Return the shape of each return edge's lane: one beside the other, northwards."""
+def _return_shapes(plan: NetPlan, edges: Sequence[ReturnEdge]) -> dict[str, FloatArray]:
+    """Return the shape of each return edge's lane by lane id: side by side, heading north."""
     west, south = np.vstack([lane.shape_m for edge in plan.edges for lane in edge.lanes]).min(axis=0)
     return {
         f"{edge.id}_0": np.array([[x, south], [x, south + LENGTH_M]])
-        for edge, x in zip(edges, west - ASIDE_M - APART_M * np.arange(len(edges)), strict=True)
+        for edge, x in zip(edges, west - WEST_M - APART_M * np.arange(len(edges)), strict=True)
     }
 
 
-def _towards(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Return the vector of a way's length in the direction from *here* to *there*."""
-    return np.asarray(WAY_M * (there - here) / np.hypot(*(there - here)))
+def _connection_vector(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the vector (2,) of length ``CONNECTION_M`` in the direction from *start* to *end*."""
+    return np.asarray(CONNECTION_M * (end - start) / np.hypot(*(end - start)))

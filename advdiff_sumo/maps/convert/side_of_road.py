@@ -1,4 +1,4 @@
-"""The side of the road on which one drives, where the user does not say."""
+"""Determine whether traffic keeps left, if the user does not state it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.maps.opposite_lanes import from_opposite_m, keeps_left
 
 
 def with_side_of_the_road(source: SourceMap) -> SourceMap:
-    """Return *source* with ``keeps_left``: as it states, as is usual at its place, or else as its lanes lie."""
+    """Return *source* with ``keeps_left`` set: by its own statement, its location, or the positions of its lanes."""
     if source.keeps_left or drives_left(source.location):
         return replace(source, keeps_left=True)
     lines = [

@@ -1,4 +1,4 @@
-"""What stop lines do beyond choosing a junction's kind: where vehicles stop, and which turns wait inside."""
+"""Apply stop lines of the source: where vehicles stop, and which turns yield at a line inside a junction."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
-LEAST_OFFSET_M = 0.5  # nearer to the lane's end the line is at the end
-MOST_SHARE = 0.7  # of a lane that may lie behind its stop line
-TURN_STOP = "TURN_STOP"
+LEAST_OFFSET_M = 0.5  # a stop line nearer to the end of its lane counts as being at the end
+MOST_SHARE = 0.7  # largest share of a lane beyond its stop line; other lines are ignored
+TURN_STOP = "TURN_STOP"  # kind of the lines inside a junction
 
 
 def with_stop_offsets(edges: Iterable[EdgePlan], lines: dict[str, list[Polygon]]) -> tuple[EdgePlan, ...]:
-    """Return *edges* whose lanes stop vehicles before the stop lines that cross them.
+    """Return *edges* with the stop offsets of their lanes set, so that vehicles stop before the stop lines.
 
     Args:
-        edges: of a plan.
-        lines: areas of the stop lines that act on each edge.
+        edges: edges of a plan.
+        lines: areas of the stop lines of each edge.
     """
     return tuple(
         replace(edge, lanes=tuple(_with_offset(lane, lines[edge.id]) for lane in edge.lanes))
@@ -35,12 +35,12 @@ def with_stop_offsets(edges: Iterable[EdgePlan], lines: dict[str, list[Polygon]]
 
 
 def _with_offset(lane: LanePlan, areas: Sequence[Polygon]) -> LanePlan:
-    """Return *lane* with the distance from the upstream edge of its stop line to its end."""
+    """Return *lane* with the distance from the upstream border of its first stop line to its end."""
     line = LineString(lane.shape_m)
     hits = [line.intersection(area) for area in areas if line.intersects(area)]
     if not hits:
         return lane
-    first = min(line.project(shapely.Point(place)) for hit in hits for place in shapely.get_coordinates(hit))
+    first = min(line.project(shapely.Point(point)) for hit in hits for point in shapely.get_coordinates(hit))
     offset = float(line.length - first)
     if not LEAST_OFFSET_M <= offset <= MOST_SHARE * line.length:
         return lane
@@ -48,7 +48,7 @@ def _with_offset(lane: LanePlan, areas: Sequence[Polygon]) -> LanePlan:
 
 
 def waiting_turns(plan: NetPlan, source: SourceMap) -> list[tuple[Ends, Ends]]:
-    """Return (who goes first, who waits) for the ways through junctions that a TURN_STOP line crosses."""
+    """Return (first, yielding) pairs: connections across a TURN_STOP line yield to those close by without one."""
     areas = [line.area for line in source.stop_lines if line.kind.upper() == TURN_STOP]
     if not areas:
         return []
@@ -56,15 +56,18 @@ def waiting_turns(plan: NetPlan, source: SourceMap) -> list[tuple[Ends, Ends]]:
     target = {edge.id: edge.target for edge in plan.edges}
     for connection in plan.connections:
         inside[target[connection.origin[0]]].append(connection)
-    pairs = {pair for ways in inside.values() for pair in _pairs(ways, areas)}
+    pairs = {pair for connections in inside.values() for pair in _yielding_pairs(connections, areas)}
     return sorted(pair for pair in pairs if pair[::-1] not in pairs)
 
 
-def _pairs(ways: list[ConnectionPlan], areas: Sequence[Polygon]) -> Iterator[tuple[Ends, Ends]]:
-    lines = [LineString(way.shape_m) for way in ways]
-    waits = [any(line.intersects(area) for area in areas) for line in lines]
-    for own, line, waiting in zip(ways, lines, waits, strict=True):
-        for other, foe, also in zip(ways, lines, waits, strict=True):
-            apart = own.origin[0] != other.origin[0] and line.distance(foe) < BODIES_M
-            if waiting and not also and apart:
-                yield (other.origin[0], other.target[0]), (own.origin[0], own.target[0])
+def _yielding_pairs(
+    connections: list[ConnectionPlan], areas: Sequence[Polygon]
+) -> Iterator[tuple[Ends, Ends]]:
+    """Yield the pairs of one junction; *areas* are the TURN_STOP lines."""
+    lines = [LineString(connection.shape_m) for connection in connections]
+    has_stop = [any(line.intersects(area) for area in areas) for line in lines]
+    for connection, line, must_yield in zip(connections, lines, has_stop, strict=True):
+        for foe, foe_line, foe_must_yield in zip(connections, lines, has_stop, strict=True):
+            conflict = connection.origin[0] != foe.origin[0] and line.distance(foe_line) < BODIES_M
+            if must_yield and not foe_must_yield and conflict:
+                yield (foe.origin[0], foe.target[0]), (connection.origin[0], connection.target[0])

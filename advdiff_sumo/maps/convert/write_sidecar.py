@@ -1,4 +1,4 @@
-"""Polygons beside a net (NAME.poly.xml), which sumo-gui shows and RoadMap reads."""
+"""Write the side-car of a net (NAME.poly.xml): polygons that sumo-gui shows and RoadMap reads."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 HOLE = "drivable_area_hole"
-GRID_M = 0.001  # coordinates lie on this grid, so that no polygon crosses itself once its numbers are rounded
-STYLE = {
+GRID_M = 0.001  # grid of coordinates, so that no polygon crosses itself after its numbers are rounded
+STYLE = {  # colour and layer in sumo-gui
     "drivable_area": ("120,120,120", "-10"),
     HOLE: ("255,255,255", "-9"),
     "carpark_area": ("150,140,110", "-8"),
@@ -31,10 +31,10 @@ def sidecar_path(net: Path) -> Path:
 
 
 def write_sidecar(source: SourceMap, path: Path) -> None:
-    """Write drivable area, crossings, walkways and parking of *source* as SUMO polygons.
+    """Write drivable area, crossings, walkways and parking areas of *source* as SUMO polygons.
 
-    SUMO polygons have no holes: each hole of the drivable area is a polygon of type ``drivable_area_hole``, to
-    be taken out of the area.
+    SUMO polygons have no holes. So each hole of the drivable area is a polygon of type ``drivable_area_hole``, which
+    readers must subtract from the area.
     """
     root = ET.Element("additional")
     for number, (kind, ring) in enumerate(_rings(source)):
@@ -49,6 +49,7 @@ def write_sidecar(source: SourceMap, path: Path) -> None:
 
 
 def _rings(source: SourceMap) -> Iterator[tuple[str, CoordinateSequence]]:
+    """Yield type and coordinates of each polygon to write."""
     areas: list[tuple[str, list[Polygon]]] = [
         ("drivable_area", list(source.drivable.geoms)),
         ("carpark_area", list(source.carparks)),

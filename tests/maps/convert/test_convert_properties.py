@@ -164,7 +164,7 @@ def check_geometry(data: dict[str, object], net: WrittenNet) -> None:
     """
     paths = data["arcline_path_3"]
     assert isinstance(paths, dict)
-    drawn = [shapely.LineString(line) for line, _ in (*net.lanes.values(), *net.ways.values())]
+    drawn = [shapely.LineString(line) for line, _ in (*net.lanes.values(), *net.connections.values())]
     source = [shapely.LineString(sample_path(pieces)) for pieces in paths.values()]
     for lines, others in ((source, drawn), (drawn, source)):
         whole = shapely.union_all(others)
@@ -192,7 +192,7 @@ def check_connectivity(data: dict[str, object], result: ConversionResult, net: W
     lines = {token: shapely.LineString(sample_path(paths[token])) for token in roads}
     of = {key: _nearest(line, lines) for key, (line, _) in net.lanes.items()}
     assert set(of.values()) == set(roads)
-    found = {(of[a, i], of[b, j]) for a, i, b, j in net.ways} - {(token, token) for token in roads}
+    found = {(of[a, i], of[b, j]) for a, i, b, j in net.connections} - {(token, token) for token in roads}
     given_links = {
         (a, b) for a in roads for x in connectivity[a]["outgoing"] for b in connectivity[x]["outgoing"]
     }

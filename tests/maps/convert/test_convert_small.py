@@ -92,7 +92,7 @@ def test_missing_link_is_added_by_geometry_and_counted(tmp_path: Path) -> None:
     result = converted(road, tmp_path)
     assert result.counts["links added by geometry"] == 1
     assert result.counts["gaps under 0.5 m bridged"] == 1
-    assert len(read_net(result.net).ways) == 1
+    assert len(read_net(result.net).connections) == 1
 
 
 def test_lane_across_the_end_is_not_linked(tmp_path: Path) -> None:

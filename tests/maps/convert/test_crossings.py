@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from advdiff_sumo.maps.convert.layout.crossings import _divide, join_crossing_ways
+from advdiff_sumo.maps.convert.layout.crossings import _divide, join_crossing_lanes
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
 
@@ -74,7 +74,7 @@ def test_ways_that_cross_come_into_one_junction(between_m: float, divided: bool)
     ends = [far, Piece(1, length - 5.0, length)]
     layout = layout_of([20.0 + between_m, length], [[rim[0]], [piece], [rim[1]], [ends[0]], [ends[1]]])
     assert len(set(layout.junctions(piece))) == 2
-    join_crossing_ways(layout, lines)
+    join_crossing_lanes(layout, lines)
     assert layout.counts["edges divided to join junctions where ways cross"] == divided
     assert layout.counts["pieces put inside a junction"] == (not divided)
     assert layout.junctions(rim[0])[1] == layout.junctions(rim[1])[0] == layout.junctions(ends[0])[1]

@@ -107,7 +107,7 @@ def test_the_map_stays_as_it_is(lefthand: bool, tmp_path: Path) -> None:
     assert with_streets["netconvert_warnings"] == without["netconvert_warnings"]
     lanes, own = read_net(result.net), read_net(plain.net)
     assert lanes.lanes.keys() == own.lanes.keys()
-    assert lanes.ways.keys() == own.ways.keys()
+    assert lanes.connections.keys() == own.connections.keys()
     for key, (line, width_m) in own.lanes.items():
         assert np.abs(lanes.lanes[key][0] - line).max() < 1e-3
         assert lanes.lanes[key][1] == width_m

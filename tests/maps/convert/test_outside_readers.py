@@ -56,7 +56,7 @@ def run(command: Sequence[str | Path], **environment: str) -> str:
 def off(before: WrittenNet, after: WrittenNet) -> float:
     """Return how far lanes and ways have moved at most, both ways."""
     pairs = [(line, after.lanes[key][0]) for key, (line, _) in before.lanes.items()]
-    pairs += [(line, after.ways[key][0]) for key, (line, _) in before.ways.items()]
+    pairs += [(line, after.connections[key][0]) for key, (line, _) in before.connections.items()]
     away = [np.abs(polyline.project(a, polyline.resample(b, 0.5)[0])[1]).max() for a, b in pairs]
     away += [np.abs(polyline.project(b, polyline.resample(a, 0.5)[0])[1]).max() for a, b in pairs]
     return float(max(away))
@@ -76,7 +76,7 @@ def test_netconvert_round_trip_keeps_everything(result: ConversionResult, tmp_pa
     run([*command, "--precision", "4", "--offset.disable-normalization", "true", "--no-turnarounds", "true"])
     before, after = read_net(result.net), read_net(again)
     assert after.lanes.keys() == before.lanes.keys()
-    assert after.ways.keys() == before.ways.keys()
+    assert after.connections.keys() == before.connections.keys()
     assert off(before, after) <= ROUND_TRIP_M
 
 

@@ -16,7 +16,7 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
-from advdiff_sumo.maps.convert.rim import LENGTH_M, WAY_M
+from advdiff_sumo.maps.convert.rim import CONNECTION_M, LENGTH_M
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 from advdiff_sumo.sim.driving_test import driving_test
@@ -68,7 +68,7 @@ def test_a_car_drives_round_and_is_on_the_map_or_straight_beyond_its_rim(tmp_pat
                 metres = libsumo.vehicle.getDistance("car")
     finally:
         libsumo.close()
-    assert metres == pytest.approx(2.0 * 150.0 + LENGTH_M + 2.0 * WAY_M, abs=25.0)
+    assert metres == pytest.approx(2.0 * 150.0 + LENGTH_M + 2.0 * CONNECTION_M, abs=25.0)
     on_map = np.array([place[1:] for place in places if place[0] in (first, last)])
     assert (on_map[:, 0] >= 100.0).all()
     assert (on_map[:, 0] <= 250.0).all()

@@ -37,7 +37,7 @@ def link(
     foes: set[int] | None = None,
     yields_to: set[int] | None = None,
     approach_mps: float = 10.0,
-    way_mps: float = 5.0,
+    junction_mps: float = 5.0,
     stop_offset_m: float = 0.0,
 ) -> SignalLink:
     """Return a link of 20 m through the origin."""
@@ -50,7 +50,7 @@ def link(
         line_m=line_m,
         approach_m=3.0 * line_m,
         approach_mps=approach_mps,
-        way_mps=way_mps,
+        junction_mps=junction_mps,
         stop_offset_m=stop_offset_m,
         foes=frozenset(foes or ()),
         yields_to=frozenset(yields_to or ()),

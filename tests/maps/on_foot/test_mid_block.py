@@ -60,7 +60,7 @@ def test_edges_part_where_the_crossing_is(tmp_path: Path) -> None:
         *("west:0.000:48.500", "west:52.500:100.000"),
     }
     (crossing,) = crossings(result.net)
-    assert len({way for way in result.plan.way_of if way[0] != way[2]}) == 3
+    assert len({way for way in result.plan.connection_of if way[0] != way[2]}) == 3
     assert len(crossing.get("crossingEdges", "").split()) == 4
     figures, plain = measure(result).as_dict(), measure(convert(road(), tmp_path)).as_dict()
     assert (figures["crossings"]["given"], figures["crossings"]["kept"]) == (1, 1)

@@ -1,1 +1,1 @@
-"""Layout: which parts of the source's lanes share a SUMO edge, and which ends meet in one junction."""
+"""Layout of a net: which parts of source lanes share a SUMO edge, and which lane ends meet in one junction."""

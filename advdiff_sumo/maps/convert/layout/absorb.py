@@ -1,4 +1,4 @@
-"""Put short pieces inside a junction where they stand in the way of one."""
+"""Turn short edge lanes into internal lanes of a junction, if the layout needs it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 
 def absorb(layout: Layout, pieces: Sequence[Piece], longest_m: float, grouped: frozenset[Piece]) -> bool:
-    """Make *pieces* parts of internal lanes, or return False and change nothing.
+    """Turn *pieces* into parts of internal lanes and return True, or change nothing and return False.
 
-    Refused for pieces that are too long, that share an edge with others, that end at the rim of the map, or where
-    two ways between the same two lanes would come of it, of which SUMO holds only one.
+    Nothing is changed if a piece is longer than *longest_m*, shares an edge with others, or ends at the rim of the map,
+    or if there would be two connections between the same two lanes, of which SUMO holds only one.
+
+    Args:
+        layout: the layout to change.
+        pieces: edge lanes.
+        longest_m: largest length of a piece that may be absorbed.
+        grouped: pieces that must stay edge lanes, as they share an edge with others.
     """
     if any(p.length_m > longest_m or p in grouped or _at_rim(layout, p) for p in pieces):
         return False
@@ -31,7 +37,8 @@ def absorb(layout: Layout, pieces: Sequence[Piece], longest_m: float, grouped: f
 
 
 def _at_rim(layout: Layout, piece: Piece) -> bool:
-    own = layout.pieces[piece.lane]
-    first = own[0] == piece and not any(b == piece.lane for _, b in layout.links)
-    last = own[-1] == piece and not any(a == piece.lane for a, _ in layout.links)
-    return first or last
+    """Return whether *piece* begins a lane without predecessor or ends a lane without successor."""
+    lane_pieces = layout.pieces[piece.lane]
+    begins = lane_pieces[0] == piece and not any(b == piece.lane for _, b in layout.links)
+    ends = lane_pieces[-1] == piece and not any(a == piece.lane for a, _ in layout.links)
+    return begins or ends

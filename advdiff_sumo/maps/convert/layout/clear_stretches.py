@@ -1,4 +1,4 @@
-"""Where on a connector nobody else's way is near: the place for an edge, if its junction has to be parted."""
+"""Find the stretch of each connector with no other lane near: the place for an edge that divides a junction."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from shapely.geometry import LineString
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 
-BODIES_M = 2.2  # two cars side by side with 0.3 m between them
-STUB_M = 2.5  # length of an edge on a connector that has no better place for it
+BODIES_M = 2.2  # distance of centre lines with room for two cars: 0.3 m between their bodies
+STUB_M = 2.5  # length of an edge on a connector without a longer clear stretch
 
 
 def clear_stretches(lines_m: Sequence[FloatArray], is_connector: Sequence[bool]) -> Mapping[int, Piece]:
-    """Return the longest part of each connector from which all other lanes are over 2.2 m away.
+    """Return the longest part of each connector from which all other lanes are more than ``BODIES_M`` away.
 
-    Where it is shorter than an edge should be, it is the middle of the connector: ways that cross it elsewhere cross
-    an internal lane.
+    If that part is shorter than ``STUB_M``, the middle of the connector is returned. Lanes that cross the connector
+    elsewhere then cross an internal lane.
 
     Args:
         lines_m: centre line (N, 2) of each lane and connector.
@@ -32,15 +32,13 @@ def clear_stretches(lines_m: Sequence[FloatArray], is_connector: Sequence[bool])
 
 
 def _clear_stretch(lane: int, lines: Sequence[LineString], tree: shapely.STRtree) -> Piece:
-    own = lines[lane]
-    near = [
-        other for other in tree.query(own, predicate="dwithin", distance=BODIES_M).tolist() if other != lane
-    ]
-    rest = own.difference(shapely.union_all([lines[other].buffer(BODIES_M, quad_segs=4) for other in near]))
-    parts = [part for part in shapely.get_parts(rest) if isinstance(part, LineString)]
-    best = max(parts, key=lambda part: part.length, default=None)
-    if best is None or best.length < STUB_M:
-        middle, half = 0.5 * own.length, 0.5 * STUB_M
+    line = lines[lane]
+    near = [n for n in tree.query(line, predicate="dwithin", distance=BODIES_M).tolist() if n != lane]
+    clear = line.difference(shapely.union_all([lines[n].buffer(BODIES_M, quad_segs=4) for n in near]))
+    parts = [part for part in shapely.get_parts(clear) if isinstance(part, LineString)]
+    longest = max(parts, key=lambda part: part.length, default=None)
+    if longest is None or longest.length < STUB_M:
+        middle, half = 0.5 * line.length, 0.5 * STUB_M
         return Piece(lane, middle - half, middle + half)
-    first, last = np.sort([own.project(shapely.Point(best.coords[end])) for end in (0, -1)])
+    first, last = np.sort([line.project(shapely.Point(longest.coords[end])) for end in (0, -1)])
     return Piece(lane, float(first), float(last))

@@ -1,4 +1,4 @@
-"""Edges make way for crossings on foot, which SUMO has in junctions alone: a crossing in mid-block gets a junction."""
+"""Cut or shorten edges at pedestrian crossings, since SUMO allows crossings in junctions only."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from advdiff_sumo.maps.on_foot.crossing_lines import (
     band_of,
 )
 
-SHORTEST_M = 5.0  # what is left of an edge
-MARGIN_M = 0.5  # between the end of an edge and a crossing
+SHORTEST_M = 5.0  # shortest edge that may remain
+MARGIN_M = 0.5  # distance between the end of an edge and a crossing
 
 
 @dataclass(frozen=True)
-class _Hit:
-    """A lane that a crossing leads over.
+class _CrossedLane:
+    """A lane that a pedestrian crossing leads over.
 
     Attributes:
         lane: its number.
-        at_m: where along the crossing, from its middle.
+        at_m: position of the lane's centre line along the crossing, from the middle of the crossing.
         half_m: half of the lane's width.
-        from_m, to_m: what the crossing takes of the lane.
+        from_m, to_m: arc lengths on the lane between which the crossing lies.
         piece: the edge lane there; None inside a junction.
     """
 
@@ -49,39 +49,40 @@ class _Hit:
 def cut_at_crossings(
     layout: Layout, lines_m: Sequence[FloatArray], widths_m: Sequence[float], areas: Sequence[Polygon]
 ) -> None:
-    """Cut edges where *areas* lie across all their lanes, so that a crossing leads over ways of one junction.
+    """Cut edges at pedestrian crossings, so that each crossing lies in one junction.
 
-    Edges of both directions without an island between them get one junction. Within 7.5 m of a junction they end
-    before the crossing instead. Where neither can be, nothing is changed.
+    An edge is cut where a crossing leads over all its lanes. Edges of both directions without an island between them
+    get a common junction. If a junction is less than ``ROOM_M`` (7.5 m) away, the edges are shortened to end before
+    the crossing instead. If neither is possible, nothing is changed.
 
     Args:
-        layout: the groups of which are final.
+        layout: the layout to change; its groups are final.
         lines_m: centre line (N, 2) of each lane and connector.
         widths_m: their widths.
-        areas: crossings as painted.
+        areas: painted areas of the crossings.
     """
     lines = [LineString(line) for line in lines_m]
     tree = shapely.STRtree(lines)
     for area in areas:
-        across = [lines[n] for n in tree.query(area, predicate="intersects").tolist()]
-        band = band_of(area, across)
-        along_m = max((line.intersection(area).length for line in across), default=0.0)
-        if band is None or 2.0 * band.half_m > LONGEST_M or along_m > MOST_WIDTH_M / LEAST_SINE:
+        crossed_lines = [lines[n] for n in tree.query(area, predicate="intersects").tolist()]
+        band = band_of(area, crossed_lines)
+        longest_m = max((line.intersection(area).length for line in crossed_lines), default=0.0)
+        if band is None or 2.0 * band.half_m > LONGEST_M or longest_m > MOST_WIDTH_M / LEAST_SINE:
             continue
-        hits = _hits(layout, band, lines, tree, widths_m)
-        for cluster in _carriageways(hits or [], band):
-            _cut(layout, cluster)
+        lanes = _crossed_lanes(layout, band, lines, tree, widths_m)
+        for carriageway in _carriageways(lanes or [], band):
+            _cut_carriageway(layout, carriageway)
 
 
-def _hits(
+def _crossed_lanes(
     layout: Layout, band: Band, lines: Sequence[LineString], tree: shapely.STRtree, widths_m: Sequence[float]
-) -> list[_Hit] | None:
-    """Return the lanes under *band* and beyond its ends, in order along it; None where one runs along it."""
-    middle = band.line(REACH_M)
-    strip = middle.buffer(0.5 * band.width_m + MARGIN_M, cap_style="flat")
-    hits = []
-    for lane in tree.query(middle, predicate="intersects").tolist():
-        meeting = lines[lane].intersection(middle)
+) -> list[_CrossedLane] | None:
+    """Return the lanes that *band*, extended at both ends, crosses, in order along it; None if one runs along it."""
+    axis = band.line(REACH_M)
+    strip = axis.buffer(0.5 * band.width_m + MARGIN_M, cap_style="flat")
+    crossed_lanes = []
+    for lane in tree.query(axis, predicate="intersects").tolist():
+        meeting = lines[lane].intersection(axis)
         if not isinstance(meeting, Point):
             return None
         s = lines[lane].project(meeting)
@@ -89,39 +90,39 @@ def _hits(
         step = (ahead - back) / max(float(np.hypot(*(ahead - back))), 1e-9)
         if abs(float(step[0] * band.along[1] - step[1] * band.along[0])) < LEAST_SINE:
             return None
-        under = lines[lane].intersection(strip)
-        part = min(shapely.get_parts(under), key=meeting.distance)
+        parts = shapely.get_parts(lines[lane].intersection(strip))
+        part = min(parts, key=meeting.distance)
         first, last = sorted(lines[lane].project(Point(part.coords[end])) for end in (0, -1))
         piece = next((p for p in layout.pieces[lane] if p.from_m < last and p.to_m > first), None)
         at = float((np.asarray(meeting.coords[0]) - band.middle_m) @ band.along)
-        hits.append(_Hit(lane, at, 0.5 * widths_m[lane], first, last, piece))
-    return sorted(hits, key=lambda hit: (hit.at_m, hit.lane))
+        crossed_lanes.append(_CrossedLane(lane, at, 0.5 * widths_m[lane], first, last, piece))
+    return sorted(crossed_lanes, key=lambda crossed: (crossed.at_m, crossed.lane))
 
 
-def _carriageways(hits: Sequence[_Hit], band: Band) -> list[list[_Hit]]:
-    """Return the lanes of each carriageway that is painted; islands are between."""
-    clusters: list[list[_Hit]] = []
+def _carriageways(lanes: Sequence[_CrossedLane], band: Band) -> list[list[_CrossedLane]]:
+    """Return the lanes of each carriageway that *band* lies on; carriageways are divided by islands."""
+    clusters: list[list[_CrossedLane]] = []
     reach_m = -np.inf
-    for hit in hits:
-        if hit.at_m - hit.half_m - reach_m >= NARROW_M:
+    for crossed in lanes:
+        if crossed.at_m - crossed.half_m - reach_m >= NARROW_M:
             clusters.append([])
-        clusters[-1].append(hit)
-        reach_m = max(reach_m, hit.at_m + hit.half_m)
-    return [cluster for cluster in clusters if any(abs(hit.at_m) <= band.half_m for hit in cluster)]
+        clusters[-1].append(crossed)
+        reach_m = max(reach_m, crossed.at_m + crossed.half_m)
+    return [cluster for cluster in clusters if any(abs(crossed.at_m) <= band.half_m for crossed in cluster)]
 
 
-def _cut(layout: Layout, hits: Sequence[_Hit]) -> None:
+def _cut_carriageway(layout: Layout, lanes: Sequence[_CrossedLane]) -> None:
     """Cut the edges of one carriageway, or end them before the crossing."""
-    by_piece = {hit.piece: hit for hit in hits if hit.piece is not None}
+    by_piece = {crossed.piece: crossed for crossed in lanes if crossed.piece is not None}
     groups = [group for group in layout.groups if any(piece in by_piece for piece in group)]
     if not groups or any(piece not in by_piece for group in groups for piece in group):
         return
-    near = [_ends_near(group, by_piece) for group in groups]
-    if not any(near):
-        if len(by_piece) == len(hits):
+    tight_ends = [_tight_ends(group, by_piece) for group in groups]
+    if not any(tight_ends):
+        if len(by_piece) == len(lanes):
             _divide(layout, groups, by_piece)
         return
-    junctions = {layout.joints.find(end) for ends in near for end in ends}
+    junctions = {layout.joints.find(end) for ends in tight_ends for end in ends}
     sides = [_side_at(layout, group, junctions) for group in groups]
     if None in sides or (len(junctions) > 1 and layout.between(junctions)):
         return
@@ -129,19 +130,22 @@ def _cut(layout: Layout, hits: Sequence[_Hit]) -> None:
         layout.joints.join(sorted(junctions, key=repr))
 
 
-def _ends_near(group: Sequence[Piece], hits: dict[Piece, _Hit]) -> list[tuple[Piece, int]]:
-    """Return the ends of *group* between which and the crossing no car has room."""
-    rooms = [min(_room(hits[piece], piece, side) for piece in group) for side in (0, 1)]
+def _tight_ends(group: Sequence[Piece], hits: dict[Piece, _CrossedLane]) -> list[tuple[Piece, int]]:
+    """Return the ends of *group* that are too close to the crossing for a car to wait between the two."""
+    rooms = [min(_room_m(hits[piece], piece, side) for piece in group) for side in (0, 1)]
     return [(group[0], side) for side in (0, 1) if rooms[side] < ROOM_M]
 
 
-def _room(hit: _Hit, piece: Piece, side: int) -> float:
-    """Return the metres between the crossing and the beginning (side 0) or end (side 1) of *piece*."""
+def _room_m(hit: _CrossedLane, piece: Piece, side: int) -> float:
+    """Return the distance in m between the crossing and the beginning (side 0) or end (side 1) of *piece*."""
     return piece.to_m - hit.to_m if side else hit.from_m - piece.from_m
 
 
 def _side_at(layout: Layout, group: Sequence[Piece], junctions: set[Hashable]) -> int | None:
-    """Return with which end *group* lies at one of *junctions*; None with neither or both, and at the map's rim."""
+    """Return which end of *group* (0: beginning, 1: end) lies at one of *junctions*.
+
+    None if neither or both do, or if a lane without a link ends there (the rim of the map).
+    """
     followed, entered = {a for a, _ in layout.links}, {b for _, b in layout.links}
     sides = [side for side in (0, 1) if layout.joints.find((group[0], side)) in junctions]
     if len(sides) != 1:
@@ -152,9 +156,13 @@ def _side_at(layout: Layout, group: Sequence[Piece], junctions: set[Hashable]) -
 
 
 def _shorten(
-    layout: Layout, groups: Sequence[list[Piece]], sides: Sequence[int], hits: dict[Piece, _Hit]
+    layout: Layout, groups: Sequence[list[Piece]], sides: Sequence[int], hits: dict[Piece, _CrossedLane]
 ) -> bool:
-    """End (side 1) or begin (side 0) each edge at the crossing, if enough of all is left; return whether it is."""
+    """Shorten each edge to end (side 1) or begin (side 0) at the crossing, if all edges stay long enough.
+
+    Returns:
+        Whether the edges were shortened.
+    """
     shorter = [
         [
             piece._replace(to_m=min(piece.to_m, hits[piece].from_m))
@@ -175,8 +183,8 @@ def _shorten(
     return True
 
 
-def _divide(layout: Layout, groups: Sequence[list[Piece]], hits: dict[Piece, _Hit]) -> None:
-    """Part the edges at the crossing; their new ends meet in one junction."""
+def _divide(layout: Layout, groups: Sequence[list[Piece]], hits: dict[Piece, _CrossedLane]) -> None:
+    """Divide the edges at the crossing; their new ends meet in one junction."""
     ends: list[Hashable] = []
     for group in groups:
         first = [Piece(piece.lane, piece.from_m, hits[piece].from_m) for piece in group]

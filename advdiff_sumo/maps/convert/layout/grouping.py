@@ -1,4 +1,4 @@
-"""Which pieces of lanes share an edge."""
+"""Group pieces of neighbouring lanes into edges."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, UNEVEN_M, Piec
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
-KEEP_SHARE = 0.2  # pieces of an edge run abreast over at least this share of the longer one
-# A piece of at most this length may go inside a junction for the sake of lane changes. Longer than in crossings.py, as
-# nothing is divided here: a piece that stays keeps two lanes apart (with 20 m one pair more in singapore-onenorth).
+KEEP_SHARE = 0.2  # smallest share of the longer piece over which two pieces of an edge run side by side
+# A piece of at most this length may be absorbed by a junction to let two lanes share an edge. It is longer than in
+# crossings.py: no edge is divided here, so a piece that stays separates two lanes (20 m separate one more pair in
+# singapore-onenorth).
 ABSORB_M = 25.0
 
 
@@ -26,7 +27,10 @@ class _Match:
 
 
 def group_pieces(layout: Layout, pairs: Sequence[SideBySide]) -> list[list[Piece]]:
-    """Return the pieces of each edge, right to left; pieces are put together where no junction loop comes of it."""
+    """Return the pieces of each edge, right to left; pieces share an edge unless an edge would become a loop.
+
+    A loop is an edge that begins and ends in one junction.
+    """
     left_of: dict[Piece, Piece] = {}
     right_of: dict[Piece, Piece] = {}
     for match in _matches(layout, pairs):
@@ -47,7 +51,7 @@ def group_pieces(layout: Layout, pairs: Sequence[SideBySide]) -> list[list[Piece
 
 
 def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
-    """Return pairs of pieces abreast whose ends differ by little, longest first."""
+    """Return the pairs of pieces side by side whose ends differ little, longest overlap first."""
     matches = []
     for pair in pairs:
         for left in layout.pieces[pair.left]:
@@ -56,17 +60,14 @@ def _matches(layout: Layout, pairs: Sequence[SideBySide]) -> list[_Match]:
                 overlap = min(end, right.to_m) - max(start, right.from_m)
                 uneven = max(abs(start - right.from_m), abs(end - right.to_m))
                 shorter, longer = sorted((right.length_m, end - start))
-                alike = overlap >= 0.3 * shorter and overlap >= KEEP_SHARE * longer
-                if alike and uneven <= UNEVEN_M + 2 * CUT_M:
+                overlaps = overlap >= 0.3 * shorter and overlap >= KEEP_SHARE * longer
+                if overlaps and uneven <= UNEVEN_M + 2 * CUT_M:
                     matches.append(_Match(left, right, overlap))
     return sorted(matches, key=lambda m: (-m.overlap_m, m.left, m.right))
 
 
 def _make_room(layout: Layout, match: _Match, grouped: frozenset[Piece]) -> bool:
-    """Return whether two pieces may share an edge without any edge that begins and ends in one junction.
-
-    Short pieces that would are put inside the junction instead.
-    """
+    """Return whether two pieces can share an edge; short pieces that would become loops are absorbed by a junction."""
     (left_start, left_end), (right_start, right_end) = (
         layout.junctions(match.left),
         layout.junctions(match.right),
@@ -79,6 +80,7 @@ def _make_room(layout: Layout, match: _Match, grouped: frozenset[Piece]) -> bool
 
 
 def _chain(piece: Piece, left_of: dict[Piece, Piece]) -> list[Piece]:
+    """Return *piece* and all pieces on its left, right to left."""
     chain = [piece]
     while chain[-1] in left_of:
         chain.append(left_of[chain[-1]])

@@ -1,4 +1,4 @@
-"""Which lane ends meet in one junction: scipy's disjoint sets over the ends of pieces and lanes."""
+"""Sets of lane ends that meet in one junction, based on scipy's disjoint sets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 
 class Joints:
-    """Disjoint sets of lane ends; an end that was never joined is a set of its own."""
+    """Disjoint sets of lane ends, one per junction; an end that was never joined is a set of its own."""
 
     def __init__(self) -> None:
         self._sets = DisjointSet()

@@ -1,4 +1,4 @@
-"""Connections of a layout: the ways from the end of one piece to the beginning of the next."""
+"""Find the connections of a layout: paths from the end of one piece to the beginning of the next."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 
 @dataclass(frozen=True)
 class LaneConnection:
-    """A way through a junction.
+    """A path through a junction.
 
     Attributes:
-        origin: piece that it leaves at its end.
-        target: piece that it enters at its beginning.
-        parts: consecutive parts of lanes that it runs on; parts without length are left out.
+        origin: piece at whose end it begins.
+        target: piece at whose beginning it ends.
+        parts: consecutive parts of lanes that it consists of; parts without length are left out.
     """
 
     origin: Piece
@@ -31,39 +31,39 @@ class LaneConnection:
     @property
     def lanes(self) -> tuple[int, ...]:
         """Lanes in order from the origin's to the target's, each once."""
-        whole = (self.origin.lane, *(part.lane for part in self.parts), self.target.lane)
-        return tuple(dict.fromkeys(whole))
+        lanes = (self.origin.lane, *(part.lane for part in self.parts), self.target.lane)
+        return tuple(dict.fromkeys(lanes))
 
 
 def find_connections(layout: Layout) -> tuple[list[LaneConnection], list[LaneConnection]]:
     """Return (connections, doubles), both ordered by origin.
 
-    SUMO holds one connection between two lanes; of several ways the shortest is kept, the others are *doubles*.
+    SUMO holds one connection between two lanes. If there are several, the shortest is kept; the others are *doubles*.
     """
     following: dict[int, list[int]] = defaultdict(list)
     for a, b in layout.links:
         following[a].append(b)
-    best: dict[tuple[Piece, Piece], LaneConnection] = {}
+    shortest: dict[tuple[Piece, Piece], LaneConnection] = {}
     doubles = []
     for piece in layout.all_pieces():
-        for way in _ways(layout, following, piece):
-            key = (way.origin, way.target)
-            if key not in best:
-                best[key] = way
-            elif way.length_m < best[key].length_m:
-                doubles.append(best[key])
-                best[key] = way
+        for connection in _connections_from(layout, following, piece):
+            key = (connection.origin, connection.target)
+            if key not in shortest:
+                shortest[key] = connection
+            elif connection.length_m < shortest[key].length_m:
+                doubles.append(shortest[key])
+                shortest[key] = connection
             else:
-                doubles.append(way)
-    return list(best.values()), doubles
+                doubles.append(connection)
+    return list(shortest.values()), doubles
 
 
-def _ways(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list[LaneConnection]:
-    """Return every way from the end of *piece* to the next pieces."""
-    own = layout.pieces[piece.lane]
-    index = own.index(piece)
-    if index + 1 < len(own):
-        after = own[index + 1]
+def _connections_from(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list[LaneConnection]:
+    """Return every connection from the end of *piece* to the next pieces."""
+    lane_pieces = layout.pieces[piece.lane]
+    index = lane_pieces.index(piece)
+    if index + 1 < len(lane_pieces):
+        after = lane_pieces[index + 1]
         return [LaneConnection(piece, after, (Piece(piece.lane, piece.to_m, after.from_m),))]
     tail = _part(piece.lane, piece.to_m, layout.lengths_m[piece.lane])
     connections: list[LaneConnection] = []

@@ -1,7 +1,7 @@
-"""Which parts of each lane become SUMO edge lanes: cuts where a neighbour begins or ends.
+"""Cut lanes into the parts that become SUMO edge lanes, where a neighbouring lane begins or ends.
 
-Every centre line is kept as it is; a part of a lane that is no edge lane becomes part of the internal lanes of a
-junction, so that a cut costs no geometry.
+Centre lines are not changed. The parts of a lane that are not edge lanes become internal lanes of junctions, so no
+geometry is lost by a cut.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ from typing import NamedTuple
 
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
 
-UNEVEN_M = (
-    10.0  # neighbours whose ends differ by less are evened out at the junction, beyond it the longer is cut
-)
-ROOM_M = 7.5  # of an edge on which a car can wait clear of what is at its ends
+# Neighbours whose ends differ by less are shortened to the same length; otherwise the longer one is cut.
+UNEVEN_M = 10.0
+ROOM_M = 7.5  # shortest edge on which a car can wait without reaching into the junctions at its ends
 CUT_M = 1.0  # length of the internal lane that bridges a cut
 
 
 class Piece(NamedTuple):
-    """Part of a lane, by lane number and arc lengths in m, that becomes a lane of a SUMO edge."""
+    """Part of a lane, by lane number and arc lengths in m; usually one that becomes an edge lane in SUMO."""
 
     lane: int
     from_m: float
@@ -35,18 +34,18 @@ class Piece(NamedTuple):
 def cut_lanes(lengths_m: Sequence[float], pairs: Sequence[SideBySide]) -> dict[int, list[Piece]]:
     """Return the pieces of each lane, in driving direction; a lane without a cut is one piece.
 
-    A lane is cut where a neighbour begins or ends more than ``UNEVEN_M`` away from its own ends, and where lanes
-    alongside are cut, so that all lanes of a road are cut abreast.
+    A lane is cut where a neighbour begins or ends more than ``UNEVEN_M`` away from its own ends. It is also cut where
+    neighbouring lanes are cut, so that all lanes of a road are cut side by side.
     """
-    marks = _spread(_own_marks(lengths_m, pairs), lengths_m, pairs)
-    return {lane: _between(lane, length, marks[lane]) for lane, length in enumerate(lengths_m)}
+    marks = _spread_marks(_own_marks(lengths_m, pairs), lengths_m, pairs)
+    return {lane: _pieces_between(lane, length, marks[lane]) for lane, length in enumerate(lengths_m)}
 
 
-Mark = tuple[float, bool]  # arc length, whether a neighbour ends (rather than begins) there
+Mark = tuple[float, bool]  # arc length, and whether a neighbour ends (otherwise begins) there
 
 
 def _own_marks(lengths_m: Sequence[float], pairs: Sequence[SideBySide]) -> list[tuple[int, Mark]]:
-    """Return (lane, mark) where a neighbour comes or goes in the middle of a lane."""
+    """Return (lane, mark) wherever a neighbour begins or ends along a lane, away from the lane's own ends."""
     marks: list[tuple[int, Mark]] = []
     for pair in pairs:
         for lane in (pair.left, pair.right):
@@ -58,32 +57,32 @@ def _own_marks(lengths_m: Sequence[float], pairs: Sequence[SideBySide]) -> list[
     return marks
 
 
-def _spread(
-    own: list[tuple[int, Mark]], lengths_m: Sequence[float], pairs: Sequence[SideBySide]
+def _spread_marks(
+    own_marks: list[tuple[int, Mark]], lengths_m: Sequence[float], pairs: Sequence[SideBySide]
 ) -> list[list[Mark]]:
-    """Return all marks of each lane after carrying each over to the lanes abreast."""
-    beside: list[list[SideBySide]] = [[] for _ in lengths_m]
+    """Return all marks of each lane: its own ones, and those of neighbouring lanes at the stations beside them."""
+    pairs_of_lane: list[list[SideBySide]] = [[] for _ in lengths_m]
     for pair in pairs:
-        beside[pair.left].append(pair)
-        beside[pair.right].append(pair)
+        pairs_of_lane[pair.left].append(pair)
+        pairs_of_lane[pair.right].append(pair)
     marks: list[list[Mark]] = [[] for _ in lengths_m]
-    queue = deque(own)
+    queue = deque(own_marks)
     while queue:
         lane, (s, ends) = queue.popleft()
-        if any(abs(s - other) < 0.5 * CUT_M and ends == kind for other, kind in marks[lane]):
+        if any(abs(s - known_s) < 0.5 * CUT_M and ends == kind for known_s, kind in marks[lane]):
             continue
         marks[lane].append((s, ends))
-        for pair in beside[lane]:
-            other = pair.right if lane == pair.left else pair.left
+        for pair in pairs_of_lane[lane]:
+            neighbour = pair.right if lane == pair.left else pair.left
             first, last = pair.span(lane)
-            there = pair.across(lane, s)
-            if first <= s <= last and UNEVEN_M < there < lengths_m[other] - UNEVEN_M:
-                queue.append((other, (there, ends)))
+            neighbour_s = pair.across(lane, s)
+            if first <= s <= last and UNEVEN_M < neighbour_s < lengths_m[neighbour] - UNEVEN_M:
+                queue.append((neighbour, (neighbour_s, ends)))
     return marks
 
 
-def _between(lane: int, length: float, marks: list[Mark]) -> list[Piece]:
-    """Return what is left of a lane between its cuts; cuts that lie near each other are one."""
+def _pieces_between(lane: int, length: float, marks: list[Mark]) -> list[Piece]:
+    """Return the pieces of a lane between its cuts at *marks*; cuts close to each other become one."""
     cuts: list[list[float]] = []
     for s, ends in sorted(marks):
         low, high = (s, s + CUT_M) if ends else (s - CUT_M, s)

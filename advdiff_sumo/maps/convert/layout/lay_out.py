@@ -1,4 +1,4 @@
-"""From lanes and links to SUMO edges: which pieces share an edge and which ends share a junction."""
+"""Divide lanes into edges and junctions: which pieces share an edge, and which lane ends share a junction."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from collections.abc import Sequence
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.layout.clear_stretches import STUB_M, clear_stretches
-from advdiff_sumo.maps.convert.layout.crossings import join_crossing_ways
+from advdiff_sumo.maps.convert.layout.crossings import join_crossing_lanes
 from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece, cut_lanes
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
-from advdiff_sumo.maps.convert.layout.part_junctions import break_loops, part_crossings, part_second_ways
+from advdiff_sumo.maps.convert.layout.part_junctions import (
+    divide_at_crossings,
+    divide_double_connections,
+    remove_loops,
+)
 
-SHORTEST_EDGE_M = 1.0  # netconvert moves the ends of shorter edges
+SHORTEST_EDGE_M = 1.0  # shortest edge: netconvert moves the ends of shorter ones
 
 
 def lay_out(
@@ -28,32 +32,33 @@ def lay_out(
 
     Args:
         lines_m: centre line (N, 2) of each lane and connector.
-        is_connector: whether each of them is a connector, which becomes an internal lane where it can.
+        is_connector: whether each of them is a connector, which becomes an internal lane if possible.
         links: ordered pairs (from, to) of lane numbers.
         pairs: lanes that run side by side.
     """
-    roads = [pair for pair in pairs if not (is_connector[pair.left] or is_connector[pair.right])]
+    road_pairs = [pair for pair in pairs if not (is_connector[pair.left] or is_connector[pair.right])]
     lengths = [line_length_m(line) for line in lines_m]
-    cut = cut_lanes(lengths, roads)
+    cut = cut_lanes(lengths, road_pairs)
     pieces = {lane: ([] if is_connector[lane] else cut[lane]) for lane in range(len(lengths))}
     layout = Layout(lengths, list(links), pieces)
-    layout.counts["lanes cut"] = sum(len(own) > 1 for own in pieces.values())
-    _open_ends(layout, is_connector)
-    _direct_links(layout, is_connector)
+    layout.counts["lanes cut"] = sum(len(lane_pieces) > 1 for lane_pieces in pieces.values())
+    _add_rim_edges(layout, is_connector)
+    _make_room_for_direct_links(layout, is_connector)
     clear = clear_stretches(lines_m, is_connector)
-    part_second_ways(layout, clear)
-    break_loops(layout, clear)
-    part_crossings(layout, clear, lines_m)
+    divide_double_connections(layout, clear)
+    remove_loops(layout, clear)
+    divide_at_crossings(layout, clear, lines_m)
     layout.joints = joints_of(layout)
-    join_crossing_ways(layout, lines_m, frozenset(lane for pair in roads for lane in (pair.left, pair.right)))
-    layout.groups = group_pieces(layout, roads)
-    _even_out(layout, roads)
-    join_crossing_ways(layout, lines_m)
+    lanes_with_neighbour = frozenset(lane for pair in road_pairs for lane in (pair.left, pair.right))
+    join_crossing_lanes(layout, lines_m, lanes_with_neighbour)
+    layout.groups = group_pieces(layout, road_pairs)
+    _even_out(layout, road_pairs)
+    join_crossing_lanes(layout, lines_m)
     return layout
 
 
-def _open_ends(layout: Layout, is_connector: Sequence[bool]) -> None:
-    """Give each connector that leads nowhere or comes from nowhere (the rim of the map) an edge at its open end."""
+def _add_rim_edges(layout: Layout, is_connector: Sequence[bool]) -> None:
+    """Add an edge at the open end of each connector without predecessor or successor (at the rim of the map)."""
     has_next = {a for a, _ in layout.links}
     has_previous = {b for _, b in layout.links}
     for lane, length in enumerate(layout.lengths_m):
@@ -66,14 +71,14 @@ def _open_ends(layout: Layout, is_connector: Sequence[bool]) -> None:
         layout.counts["connectors that end at the rim"] += 1
 
 
-def _direct_links(layout: Layout, is_connector: Sequence[bool]) -> None:
-    """Give room for an internal lane where one lane follows another without a connector."""
-    shorten: dict[int, set[int]] = defaultdict(set)
+def _make_room_for_direct_links(layout: Layout, is_connector: Sequence[bool]) -> None:
+    """Shorten lanes that follow each other without a connector, to make room for an internal lane."""
+    ends_to_cut: dict[int, set[int]] = defaultdict(set)
     for a, b in layout.links:
         if layout.pieces[a] and layout.pieces[b] and not (is_connector[a] or is_connector[b]):
-            shorten[a].add(-1)
-            shorten[b].add(0)
-    for lane, ends in sorted(shorten.items()):
+            ends_to_cut[a].add(-1)
+            ends_to_cut[b].add(0)
+    for lane, ends in sorted(ends_to_cut.items()):
         for end in sorted(ends):
             piece = layout.pieces[lane][end]
             cut = min(0.5 * CUT_M, 0.2 * piece.length_m)
@@ -82,11 +87,11 @@ def _direct_links(layout: Layout, is_connector: Sequence[bool]) -> None:
 
 
 def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
-    """Shorten the lanes of each edge so that they begin and end abreast; the rest lies inside the junctions."""
-    beside = {(pair.right, pair.left): pair for pair in pairs}
+    """Shorten the lanes of each edge to begin and end side by side; what is cut off belongs to the junctions."""
+    pair_of = {(pair.right, pair.left): pair for pair in pairs}
     followed, entered = {a for a, _ in layout.links}, {b for _, b in layout.links}
     for number, group in enumerate(layout.groups):
-        starts, ends = _offsets(group, beside, 0), _offsets(group, beside, 1)
+        starts, ends = _offsets(group, pair_of, 0), _offsets(group, pair_of, 1)
         shorter = []
         for piece, start, end in zip(group, starts, ends, strict=True):
             new = _shortened(piece, max(starts) - start, end - min(ends))
@@ -98,57 +103,63 @@ def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
             shorter.append(new)
             layout.replace(piece, new)
         layout.groups[number] = shorter
-    layout.groups += _open_ends_left(layout)
+    layout.groups += _single_groups(layout)
 
 
 def _keep_open_end(layout: Layout, piece: Piece, new: Piece, side: int) -> Piece:
-    """Keep what is taken off at the rim of the map, where no way would draw it: as a piece of its own, if it is long.
+    """Keep what shortening would cut off at the rim of the map, where it would belong to no connection.
+
+    If the part that is cut off is long enough, it becomes a piece of its own. Otherwise the end is not shortened.
 
     Args:
-        layout: what is being built; a piece that is kept is added to it.
-        piece: the piece as it was.
-        new: the piece as it is to be.
+        layout: the layout to change; a piece of its own is added to it.
+        piece: the piece before shortening.
+        new: the piece after shortening.
         side: the open end, 0 for the beginning of the lane and 1 for its end.
+
+    Returns:
+        The piece that replaces *piece*.
     """
-    own = layout.pieces[piece.lane]
-    taken = new.from_m - piece.from_m if side == 0 else piece.to_m - new.to_m
-    if taken <= 0.0 or own[-side] != piece:
+    lane_pieces = layout.pieces[piece.lane]
+    cut_off = new.from_m - piece.from_m if side == 0 else piece.to_m - new.to_m
+    if cut_off <= 0.0 or lane_pieces[-side] != piece:
         return new
-    if taken < CUT_M + SHORTEST_EDGE_M:
+    if cut_off < CUT_M + SHORTEST_EDGE_M:
         return new._replace(from_m=piece.from_m) if side == 0 else new._replace(to_m=piece.to_m)
     if side == 0:
-        rest = Piece(piece.lane, piece.from_m, new.from_m - CUT_M)
+        open_end = Piece(piece.lane, piece.from_m, new.from_m - CUT_M)
     else:
-        rest = Piece(piece.lane, new.to_m + CUT_M, piece.to_m)
-    own.insert(0 if side == 0 else len(own), rest)
-    layout.joints.join(((piece, side), (rest, 1 - side)))
+        open_end = Piece(piece.lane, new.to_m + CUT_M, piece.to_m)
+    lane_pieces.insert(0 if side == 0 else len(lane_pieces), open_end)
+    layout.joints.join(((piece, side), (open_end, 1 - side)))
     layout.counts["open ends cut off to even an edge"] += 1
     return new
 
 
-def _open_ends_left(layout: Layout) -> list[list[Piece]]:
-    """Return pieces in no group yet, each as a group of its own."""
+def _single_groups(layout: Layout) -> list[list[Piece]]:
+    """Return the pieces without a group, each as a group of its own."""
     grouped = {piece for group in layout.groups for piece in group}
     return [[piece] for piece in layout.all_pieces() if piece not in grouped]
 
 
-def _offsets(group: list[Piece], beside: dict[tuple[int, int], SideBySide], side: int) -> list[float]:
-    """Return where each piece begins (side 0) or ends (1), as arc length along the rightmost lane."""
+def _offsets(group: list[Piece], pair_of: dict[tuple[int, int], SideBySide], side: int) -> list[float]:
+    """Return where each piece begins (side 0) or ends (side 1), as arc length along the rightmost lane."""
     offsets = []
     for index, piece in enumerate(group):
         s = piece.to_m if side else piece.from_m
         for right, left in zip(group[index - 1 :: -1] if index else [], group[index:0:-1], strict=True):
-            s = beside[(right.lane, left.lane)].across(left.lane, s)
+            s = pair_of[(right.lane, left.lane)].across(left.lane, s)
         offsets.append(s)
     return offsets
 
 
 def _shortened(piece: Piece, at_start_m: float, at_end_m: float) -> Piece:
+    """Return *piece* shortened at both ends, by proportionally less where it would become too short."""
     cut = at_start_m + at_end_m
-    room = min((1.0 - KEEP_SHARE) * piece.length_m, piece.length_m - SHORTEST_EDGE_M)
+    most_cut = min((1.0 - KEEP_SHARE) * piece.length_m, piece.length_m - SHORTEST_EDGE_M)
     if cut <= 0.0:
         return piece
-    share = 1.0 if cut <= room else max(room, 0.0) / cut
+    share = 1.0 if cut <= most_cut else max(most_cut, 0.0) / cut
     if cut * share < 0.1:
         return piece
     return Piece(piece.lane, piece.from_m + share * at_start_m, piece.to_m - share * at_end_m)

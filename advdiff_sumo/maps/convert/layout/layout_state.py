@@ -1,4 +1,4 @@
-"""The state that the layout steps share: pieces of lanes, their groups and the junctions that they meet in."""
+"""State that the layout steps share: pieces of lanes, their groups (edges) and the junctions between them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 
 @dataclass
 class Layout:
-    """What becomes of every lane; built up step by step by :func:`lay_out`.
+    """Division of all source lanes into edges and junctions; :func:`lay_out` builds it step by step.
 
     Attributes:
         lengths_m: length of each lane and connector.
         links: ordered pairs of lane numbers.
-        pieces: edge lanes of each lane in driving direction; the rest of a lane lies inside junctions.
+        pieces: for each lane, its parts that become edge lanes, in driving direction; the other parts become internal
+            lanes of junctions.
         groups: pieces of each edge, from right to left in driving direction.
-        joints: which ends of pieces meet in one junction; kept up while pieces are grouped and joined.
-        counts: what had to be cut, promoted, absorbed or left apart.
+        joints: which ends of pieces meet in one junction; updated whenever pieces change.
+        counts: number of changes and unresolved cases of each kind.
     """
 
     lengths_m: list[float]
@@ -35,17 +36,18 @@ class Layout:
         return [piece for lane in sorted(self.pieces) for piece in self.pieces[lane]]
 
     def replace(self, piece: Piece, new: Piece) -> None:
-        """Put *new*, a shorter one, in the place of *piece*."""
-        own = self.pieces[piece.lane]
-        own[own.index(piece)] = new
+        """Replace *piece* by *new*, a shorter one."""
+        lane_pieces = self.pieces[piece.lane]
+        lane_pieces[lane_pieces.index(piece)] = new
         for side in (0, 1):
             self.joints.join(((piece, side), (new, side)))
 
     def part(self, group: list[Piece], first: list[Piece], second: list[Piece]) -> list[Hashable]:
-        """Put the edges *first* and *second* in the place of *group*, lane by lane; return their ends between them."""
+        """Replace the edge *group* by the edges *first* and *second*; return the lane ends between the two."""
         for piece, before, after in zip(group, first, second, strict=True):
-            own = self.pieces[piece.lane]
-            own[own.index(piece) : own.index(piece) + 1] = [before, after]
+            lane_pieces = self.pieces[piece.lane]
+            at = lane_pieces.index(piece)
+            lane_pieces[at : at + 1] = [before, after]
             self.joints.join(((piece, 0), (before, 0)))
             self.joints.join(((piece, 1), (after, 1)))
         at = self.groups.index(group)
@@ -64,10 +66,10 @@ class Layout:
         return sorted(piece for piece in within if piece in self.pieces[piece.lane])
 
 
-def joints_of(layout: Layout, more: Iterable[tuple[Hashable, Hashable]] = ()) -> Joints:
-    """Return which ends of pieces and lanes meet in one junction, before lanes are grouped; *more* pairs meet too."""
+def joints_of(layout: Layout, extra_pairs: Iterable[tuple[Hashable, Hashable]] = ()) -> Joints:
+    """Return which ends of pieces and lanes meet in one junction, before lanes are grouped; *extra_pairs* meet too."""
     joints = Joints()
-    for first, second in (*bonds_of(layout), *more):
+    for first, second in (*linked_ends(layout), *extra_pairs):
         joints.join((first, second))
     for piece in layout.all_pieces():
         joints.find((piece, 0))
@@ -75,8 +77,8 @@ def joints_of(layout: Layout, more: Iterable[tuple[Hashable, Hashable]] = ()) ->
     return joints
 
 
-def bonds_of(layout: Layout) -> Iterable[tuple[Hashable, Hashable]]:
-    """Yield pairs of ends that a link, a connector or a bridged cut joins."""
+def linked_ends(layout: Layout) -> Iterable[tuple[Hashable, Hashable]]:
+    """Yield the pairs of lane ends that a link or an internal part of a lane joins."""
     for lane in range(len(layout.lengths_m)):
         before: Hashable = (lane, "start")
         for piece in layout.pieces[lane]:

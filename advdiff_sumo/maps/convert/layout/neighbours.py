@@ -1,4 +1,4 @@
-"""Which lanes run side by side in one direction."""
+"""Find lanes that run side by side in one direction."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 
-STEP_M = 1.0
-MAX_TURN_RAD = 0.35  # beyond this two lanes do not run in one direction
-SIDE_SLACK_M = 0.9  # how far the distance of two centre lines may be off the mean of their widths
+STEP_M = 1.0  # distance between sample points on centre lines
+MAX_TURN_RAD = 0.35  # largest angle between lanes of one direction
+SIDE_SLACK_M = 0.9  # largest deviation of the distance of two centre lines from the mean of the two widths
 KNOWN_SLACK_M = 2.5  # the same for lanes that share a divider
-MIN_OVERLAP_M, KNOWN_OVERLAP_M = 3.0, 1.0
+MIN_OVERLAP_M = 3.0  # shortest overlap of neighbours
+KNOWN_OVERLAP_M = 1.0  # the same for lanes that share a divider
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class SideBySide:
 
     Attributes:
         left, right: lane numbers.
-        left_m, right_m: (K,) arc lengths of places that lie abreast, both increasing.
+        left_m, right_m: (K,) arc lengths on either lane of points that lie side by side, both increasing.
     """
 
     left: int
@@ -36,23 +37,25 @@ class SideBySide:
 
     @property
     def overlap_m(self) -> float:
-        """Length over which they run abreast in m."""
+        """Length in m over which they run side by side."""
         return float(self.left_m[-1] - self.left_m[0])
 
     def across(self, lane: int, s_m: float) -> float:
-        """Return the arc length on the other lane abreast of *s_m* on *lane*; beyond the overlap at equal pace."""
-        mine, other = (self.left_m, self.right_m) if lane == self.left else (self.right_m, self.left_m)
-        beyond = min(s_m - mine[0], 0.0) + max(s_m - mine[-1], 0.0)
-        return float(np.interp(s_m, mine, other)) + float(beyond)
+        """Return the arc length on the other lane beside *s_m* on *lane*; beyond the overlap, differences are equal."""
+        lane_m, other_m = (self.left_m, self.right_m) if lane == self.left else (self.right_m, self.left_m)
+        beyond = min(s_m - lane_m[0], 0.0) + max(s_m - lane_m[-1], 0.0)
+        return float(np.interp(s_m, lane_m, other_m)) + float(beyond)
 
     def span(self, lane: int) -> tuple[float, float]:
-        """Return the arc lengths on *lane* between which the other one runs alongside."""
-        mine = self.left_m if lane == self.left else self.right_m
-        return float(mine[0]), float(mine[-1])
+        """Return the arc lengths on *lane* between which the other lane runs beside it."""
+        lane_m = self.left_m if lane == self.left else self.right_m
+        return float(lane_m[0]), float(lane_m[-1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
+    """Sample points on all lanes: positions (N, 2), headings, arc lengths and lane numbers (N,)."""
+
     xy: FloatArray
     yaw: FloatArray
     s: FloatArray
@@ -64,13 +67,13 @@ def find_side_by_side(
 ) -> list[SideBySide]:
     """Return all pairs of neighbouring lanes of one direction, ordered by lane numbers.
 
-    Two places are abreast when one lies across the other's heading at about half the sum of both widths and the
-    headings agree; two lanes are neighbours when this holds over some metres without a large hole.
+    Two points lie side by side if their headings agree and their distance is about half the sum of both widths, at
+    right angles to the heading. Two lanes are neighbours if this holds over some metres without a large gap.
 
     Args:
         lines: centre lines (N_i, 2).
         widths_m: mean width of each lane.
-        known: (left, right) lanes that share a divider, for which distances are judged less strictly.
+        known: (left, right) lanes that share a divider, for which larger deviations are accepted.
     """
     if len(lines) < 2:
         return []
@@ -79,10 +82,10 @@ def find_side_by_side(
     first = np.concatenate((pairs[:, 0], pairs[:, 1]))
     second = np.concatenate((pairs[:, 1], pairs[:, 0]))
     keys = samples.lane[second] * len(lines) + samples.lane[first]
-    sure = np.isin(keys, [left * len(lines) + right for left, right in sorted(known)])
-    slack = np.where(sure, KNOWN_SLACK_M, SIDE_SLACK_M)
-    keep = _abreast(samples, first, second, np.asarray(widths_m), slack)
-    return _pairs(samples, first[keep], second[keep], lines, known)
+    is_known = np.isin(keys, [left * len(lines) + right for left, right in sorted(known)])
+    slack = np.where(is_known, KNOWN_SLACK_M, SIDE_SLACK_M)
+    is_beside = _is_left_beside(samples, first, second, np.asarray(widths_m), slack)
+    return _pairs(samples, first[is_beside], second[is_beside], lines, known)
 
 
 def _sample(lines: Sequence[FloatArray]) -> _Samples:
@@ -96,10 +99,10 @@ def _sample(lines: Sequence[FloatArray]) -> _Samples:
     return _Samples(np.concatenate(xy), np.concatenate(yaw), np.concatenate(s), np.concatenate(lane))
 
 
-def _abreast(
+def _is_left_beside(
     samples: _Samples, first: IntArray, second: IntArray, widths_m: FloatArray, slack_m: FloatArray
 ) -> BoolArray:
-    """Return whether place *second* lies abreast on the left of place *first*."""
+    """Return (M,) whether sample *second* lies beside sample *first*, on its left."""
     delta = samples.xy[second] - samples.xy[first]
     cos, sin = np.cos(samples.yaw[first]), np.sin(samples.yaw[first])
     along = cos * delta[:, 0] + sin * delta[:, 1]
@@ -117,6 +120,7 @@ def _pairs(
     lines: Sequence[FloatArray],
     known: Collection[tuple[int, int]],
 ) -> list[SideBySide]:
+    """Return the neighbours among the lanes of samples *left* and *right* (M,), which lie side by side."""
     keys = samples.lane[left] * len(lines) + samples.lane[right]
     order = np.lexsort((samples.s[right], keys))
     keys, left, right = keys[order], left[order], right[order]
@@ -133,13 +137,14 @@ def _pairs(
 
 
 def _runs(keys: IntArray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(keys)) + 1
-    bounds = [0, *edges.tolist(), len(keys)]
+    """Return (first, last + 1) of each run of equal *keys*."""
+    changes = np.flatnonzero(np.diff(keys)) + 1
+    bounds = [0, *changes.tolist(), len(keys)]
     return [(a, b) for a, b in itertools.pairwise(bounds) if b > a]
 
 
 def _monotone(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return one strictly increasing pair of arc lengths for each place on the right."""
+    """Return arc lengths (left, right), one pair for each distinct one on the right, as far as both increase."""
     s_right, first = np.unique(right, return_index=True)
     counts = np.diff(np.append(first, len(right)))
     s_left = np.add.reduceat(left, first) / counts
@@ -148,4 +153,5 @@ def _monotone(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _is_dense(s: FloatArray) -> bool:
+    """Return whether samples at arc lengths *s* have no large gap on the whole."""
     return bool(len(s) >= 0.6 * (s[-1] - s[0]) / STEP_M)

@@ -1,1 +1,1 @@
-"""Streets of OpenStreetMap beyond the rim of an HD map."""
+"""OpenStreetMap streets that continue an HD map beyond its rim."""

@@ -1,7 +1,8 @@
-"""Streets of OpenStreetMap that lead on where an HD map ends, and back to where it begins.
+"""Add OpenStreetMap streets that lead from the exits of an HD map and back to its entries.
 
-What of them overlaps the map is cut away; where one fits to an end of the map, a junction joins them; the streets on
-ways from the map back to it are kept.
+1. Import the streets and cut away what overlaps the map.
+2. Join streets to the lanes at the rim of the map that they fit, by a junction each.
+3. Keep the streets on routes from the map back to the map.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch, StretchGrap
 from advdiff_sumo.maps.convert.osm.import_streets import import_streets
 from advdiff_sumo.maps.convert.osm.joined_plan import JointNames, first_to_go, joined_plan
 from advdiff_sumo.maps.convert.osm.rim_ends import RimEnd, candidates, rim_ends
-from advdiff_sumo.maps.convert.osm.rim_joints import Joint, joints
+from advdiff_sumo.maps.convert.osm.rim_joints import Joint, build_joints
 from advdiff_sumo.maps.convert.osm.street_xml import NO_ROWS, StreetRows, street_rows
 
 
 @dataclass(frozen=True, eq=False)
 class Streets:
-    """Streets beyond the rim.
+    """Streets beyond the rim of a map.
 
     Attributes:
-        rows: them as netconvert's plain XML, without the ways between them and the map.
-        first_to_go: pairs of ways from the map into a street of which the second yields.
-        following: edges that follow each of them, edges of the map among these.
-        left: how many edges of the map lead into a street.
-        entered: how many a street leads into.
-        open_ends: how many ends and beginnings of the map no street fits to.
-        edges: how many streets there are.
-        km: their length.
+        rows: the streets as netconvert's plain XML, without the connections between them and the map.
+        first_to_go: pairs of connections from the map into a street; the second yields to the first.
+        following: the edges that follow each street, including edges of the map.
+        left: number of map edges that lead into a street.
+        entered: number of map edges that a street leads into.
+        open_ends: number of exits and entries of the map without a street.
+        edges: number of streets.
+        km: their total length.
     """
 
     rows: StreetRows = NO_ROWS
@@ -59,11 +60,11 @@ NO_STREETS = Streets()
 def add_streets(
     plan: NetPlan, drivable: BaseGeometry, osm: Path, projection: str | None
 ) -> tuple[NetPlan, Streets]:
-    """Return *plan* with its rim joined to the streets in *osm*, and these.
+    """Return *plan* with its rim joined to the streets in *osm*, and these streets.
 
     Args:
-        plan: the net of the HD map.
-        drivable: its drivable area.
+        plan: the planned net of the HD map.
+        drivable: the drivable area of the HD map.
         osm: an OpenStreetMap extract.
         projection: PROJ string of the map's frame.
 
@@ -74,78 +75,87 @@ def add_streets(
     bounds = np.array([lines.min(axis=0), lines.max(axis=0)])
     with tempfile.TemporaryDirectory() as folder:
         net = import_streets(osm, projection, bounds, Path(folder), lefthand=plan.lefthand)
-    area = _area(plan, drivable)
+    area = _map_area(plan, drivable)
     stretches = stretches_outside(net, area)
     rims = rim_ends(plan)
-    chosen, graph = _chosen(plan, candidates(rims, stretches, area), StretchGraph(net, stretches))
-    kept = [_trimmed(stretch, chosen) for stretch in stretches if stretch.id in graph.names]
+    joints, graph = _choose_joints(plan, candidates(rims, stretches, area), StretchGraph(net, stretches))
+    kept = [_trimmed(stretch, joints) for stretch in stretches if stretch.id in graph.names]
     names: JointNames = {
-        (joint.stretch.id, joint.leaves): f"j{number}"
-        for number, joint in enumerate(chosen, max(int(j.id[1:]) for j in plan.junctions) + 1)
+        (joint.stretch.id, joint.is_exit): f"j{number}"
+        for number, joint in enumerate(joints, max(int(j.id[1:]) for j in plan.junctions) + 1)
     }
-    joined = [rim.leaves for joint in chosen for rim in joint.rims]
+    joined_exits = [rim.is_exit for joint in joints for rim in joint.rims]
     streets = Streets(
         street_rows(net, kept, graph, names),
-        first_to_go(chosen),
-        _following(chosen, graph),
-        sum(joined),
-        len(joined) - sum(joined),
-        len(rims) - len(joined),
+        first_to_go(joints),
+        _following(joints, graph),
+        sum(joined_exits),
+        len(joined_exits) - sum(joined_exits),
+        len(rims) - len(joined_exits),
         len(kept),
         sum(stretch.length_m for stretch in kept) / 1000.0,
     )
-    return joined_plan(plan, chosen, names, {stretch.id: stretch for stretch in kept}), streets
+    return joined_plan(plan, joints, names, {stretch.id: stretch for stretch in kept}), streets
 
 
-def _area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
-    """Return the area of the map: what is drivable, its lanes and its ways."""
+def _map_area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
+    """Return the area of the map: its drivable area, lanes and connections."""
     width_of = {(edge.id, n): lane.width_m for edge in plan.edges for n, lane in enumerate(edge.lanes)}
     lanes = [(lane.shape_m, lane.width_m) for edge in plan.edges for lane in edge.lanes]
-    ways = [(way.shape_m, width_of[way.origin]) for way in plan.connections]
+    connections = [(c.shape_m, width_of[c.origin]) for c in plan.connections]
     strips = [
         LineString(line).buffer(0.5 * width, cap_style="flat")
-        for line, width in (*lanes, *ways)
+        for line, width in (*lanes, *connections)
         if line_length_m(line) > 0.0
     ]
     return shapely.union_all([drivable, *strips])
 
 
-def _chosen(
+def _choose_joints(
     plan: NetPlan, fits: Mapping[RimEnd, Sequence[StreetStretch]], graph: StretchGraph
 ) -> tuple[list[Joint], StretchGraph]:
-    """Return the joints that streets between them serve, and the graph of these streets."""
+    """Return the joints whose streets lie on a route from the map back to the map, and the graph of these streets.
+
+    Joints without such a route are removed repeatedly, until all have one.
+
+    Args:
+        plan: the planned net of the HD map.
+        fits: the stretches that fit each end of the map, best first.
+        graph: all stretches.
+    """
     entered, left = (
-        {stretch.id for rim, own in fits.items() if rim.leaves is leaves for stretch in own}
-        for leaves in (True, False)
+        {stretch.id for rim, fitting in fits.items() if rim.is_exit is is_exit for stretch in fitting}
+        for is_exit in (True, False)
     )
-    chosen = joints(plan, fits, graph.between(entered, left))
+    joints = build_joints(plan, fits, graph.between(entered, left))
     while True:
         entered, left = (
-            {joint.stretch.id for joint in chosen if joint.leaves is leaves} for leaves in (True, False)
+            {joint.stretch.id for joint in joints if joint.is_exit is is_exit} for is_exit in (True, False)
         )
-        parted = graph.parted(entered, left)
-        kept = parted.between(entered, left)
-        served = [joint for joint in chosen if joint.stretch.id in kept]
-        if len(served) == len(chosen):
-            return chosen, parted.only(kept)
-        chosen = served
+        separated = graph.separated(entered, left)
+        kept = separated.between(entered, left)
+        used = [joint for joint in joints if joint.stretch.id in kept]
+        if len(used) == len(joints):
+            return joints, separated.only(kept)
+        joints = used
 
 
-def _trimmed(stretch: StreetStretch, chosen: Sequence[Joint]) -> StreetStretch:
-    """Return *stretch* without what gives way to its joints."""
-    for joint in chosen:
+def _trimmed(stretch: StreetStretch, joints: Sequence[Joint]) -> StreetStretch:
+    """Return *stretch* without the parts that its joints replace by bends."""
+    for joint in joints:
         if joint.stretch.id == stretch.id:
-            stretch = stretch.shorter(joint.gives_way_m, at_start=joint.leaves)
+            stretch = stretch.shorter(joint.trim_m, at_start=joint.is_exit)
     return stretch
 
 
-def _following(chosen: Sequence[Joint], graph: StretchGraph) -> dict[str, list[str]]:
+def _following(joints: Sequence[Joint], graph: StretchGraph) -> dict[str, list[str]]:
+    """Return the edges that follow each street, including edges of the map."""
     following: dict[str, dict[str, None]] = defaultdict(dict)
     for name in sorted(graph.names):
         following[name] = {}
     for _, a, b in graph.connections:
         following[a.id][b.id] = None
-    for joint in chosen:
-        for rim in () if joint.leaves else joint.rims:
+    for joint in joints:
+        for rim in () if joint.is_exit else joint.rims:
             following[joint.stretch.id][rim.edge.id] = None
     return {name: list(after) for name, after in following.items()}

@@ -1,4 +1,4 @@
-"""Import an OpenStreetMap extract in the frame of an HD map, by netconvert."""
+"""Import the streets of an OpenStreetMap extract with netconvert, in the frame of an HD map."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from advdiff_sumo.maps.sumo_files import sumo_home
 
 REMEDY = "give an OpenStreetMap extract (.osm, .osm.xml, .osm.gz) of the map's place"
 NO_STREET = "holds no street for cars"
-NEAR_M = 100.0  # an extract that begins farther from the map has nothing to join
-PREFIX = "osm"  # of the names of all edges and junctions
-OPTIONS = (  # what SUMO's own guide to OpenStreetMap data gives netconvert, for cars
+NEAR_M = 100.0  # largest distance of streets from the map; an extract farther away is refused
+PREFIX = "osm"  # prefix of the names of all edges and junctions
+OPTIONS = (  # options recommended by SUMO's guide to OpenStreetMap data, limited to cars
     *("--offset.disable-normalization", "--geometry.remove", "--roundabouts.guess", "--ramps.guess"),
     *("--junctions.join", "--tls.guess-signals", "--tls.discard-simple", "--tls.join"),
     *("--keep-edges.by-vclass", "passenger", "--no-turnarounds.except-deadend", "--xml-validation", "never"),
@@ -45,9 +45,9 @@ class Street:
         origin: node where it begins.
         target: node where it ends.
         middle_m: (N, 2) line midway between its outermost lanes.
-        widths_m: of its lanes in SUMO's order (index 0 outermost).
+        widths_m: widths of its lanes in SUMO's order (index 0 outermost).
         for_cars: whether cars may use each lane.
-        clear_m: between which arc lengths of the middle line it lies outside the junctions at its ends.
+        clear_m: first and last arc length of the middle line outside the junctions at its ends.
         row: the edge as netconvert's plain XML.
     """
 
@@ -62,11 +62,11 @@ class Street:
 
     @property
     def width_m(self) -> float:
-        """Width of all lanes."""
+        """Width of all lanes together in m."""
         return sum(self.widths_m)
 
     def lane_offsets_m(self, lefthand: bool) -> list[float]:
-        """Return how far left of the middle each lane's centre lies."""
+        """Return the lateral offset in m of each lane's centre from the middle line, left positive."""
         inward = np.cumsum(self.widths_m) - 0.5 * np.array(self.widths_m) - 0.5 * self.width_m
         return [float(value) for value in (-inward if lefthand else inward)]
 
@@ -81,6 +81,7 @@ class StreetNet:
         nodes: rows of nodes by name.
         connections: rows of connections.
         roundabouts: rows of roundabouts.
+        neighbours: for each node, the nodes to which a street leads from it or from which one leads to it.
     """
 
     path: Path
@@ -98,7 +99,7 @@ class StreetNet:
         object.__setattr__(self, "neighbours", neighbours)
 
     def is_dead_end(self, node: str) -> bool:
-        """Return whether streets lead from *node* to one other node at most."""
+        """Return whether *node* has at most one neighbour."""
         return len(self.neighbours[node]) < 2
 
 
@@ -111,12 +112,12 @@ def import_streets(
         path: the extract.
         projection: PROJ string of the HD map's frame.
         bounds_m: (2, 2) lower left and upper right corner of the HD map.
-        folder: where netconvert may write.
+        folder: folder into which netconvert writes.
         lefthand: whether traffic keeps left.
 
     Raises:
         MapError: the file cannot be read, is no OpenStreetMap data, holds no street for cars or lies elsewhere, or
-            nobody knows where on earth the HD map lies.
+            the projection of the HD map is unknown.
     """
     root = load_xml(path)
     if root.tag != "osm":
@@ -126,17 +127,17 @@ def import_streets(
         raise MapError(path, problem, "give a map that does (docs/maps.md lists them), or leave --osm out")
     if root.find("way") is None:
         raise MapError(path, "holds no way", REMEDY)
-    net = _read(path, _netconvert(path, projection, folder, lefthand), lefthand)
+    net = _read_net(path, _run_netconvert(path, projection, folder, lefthand), lefthand)
     if not net.streets:
         raise MapError(path, NO_STREET, REMEDY)
     _refuse_elsewhere(net, projection, bounds_m)
     return net
 
 
-def _netconvert(path: Path, projection: str, folder: Path, lefthand: bool) -> Path:
-    """Run netconvert; return the prefix of the plain XML that it wrote."""
+def _run_netconvert(path: Path, projection: str, folder: Path, lefthand: bool) -> Path:
+    """Run netconvert; return the path prefix of the plain XML that it wrote."""
     prefix, extract = folder / "streets", folder / f"extract{path.suffix}"
-    shutil.copyfile(path, extract)  # netconvert takes a comma in a name for a list
+    shutil.copyfile(path, extract)  # netconvert splits a path at commas
     types = sumo_home() / "data" / "typemap" / "osmNetconvert.typ.xml"
     command = [
         *(sumolib.checkBinary("netconvert"), "--osm-files", str(extract), "--type-files", str(types)),
@@ -152,8 +153,8 @@ def _netconvert(path: Path, projection: str, folder: Path, lefthand: bool) -> Pa
     return prefix
 
 
-def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
-    """Read the plain XML below *prefix*."""
+def _read_net(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
+    """Read the plain XML and the net at *prefix*; streets without a lane for cars are left out."""
     nodes, edges, connections = (
         ET.parse(prefix.with_name(f"{prefix.name}.{kind}.xml")).getroot()  # noqa: S314 - netconvert wrote it
         for kind in ("nod", "edg", "con")
@@ -166,7 +167,7 @@ def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
     streets = (
         _street(row, line, lanes_of[row.get("id")], lefthand)
         for row in edges.iterfind("edge")
-        if row.get("id") in lanes_of and np.isfinite(line := _line(row, node_of)).all()
+        if row.get("id") in lanes_of and np.isfinite(line := _drawn_line(row, node_of)).all()
     )
     return StreetNet(
         path,
@@ -177,8 +178,8 @@ def _read(path: Path, prefix: Path, lefthand: bool) -> StreetNet:
     )
 
 
-def _line(row: ET.Element, nodes: Mapping[str, ET.Element]) -> FloatArray:
-    """Return the line (N, 2) that the edge *row* was drawn by."""
+def _drawn_line(row: ET.Element, nodes: Mapping[str, ET.Element]) -> FloatArray:
+    """Return the shape (N, 2) of the edge *row*, or the line between its nodes if it has none."""
     line = shape_of(row)
     if len(line):
         return line
@@ -187,11 +188,12 @@ def _line(row: ET.Element, nodes: Mapping[str, ET.Element]) -> FloatArray:
 
 
 def _street(row: ET.Element, line: FloatArray, lanes_m: Sequence[FloatArray], lefthand: bool) -> Street:
-    own = {int(lane.attrib["index"]): lane for lane in row.iterfind("lane")}
-    lanes = [own.get(index, row) for index in range(int(row.attrib["numLanes"]))]
+    """Return the street of the edge *row* with shape *line* (N, 2) and lane shapes *lanes_m* in the net."""
+    lane_rows = {int(lane.attrib["index"]): lane for lane in row.iterfind("lane")}
+    lanes = [lane_rows.get(index, row) for index in range(int(row.attrib["numLanes"]))]
     widths = tuple(float(lane.get("width") or row.get("width") or DEFAULT_LANE_WIDTH_M) for lane in lanes)
     if row.get("spreadType", "right") == "right":
-        line = beside(line, 0.5 * sum(widths) * (1.0 if lefthand else -1.0))
+        line = offset_left(line, 0.5 * sum(widths) * (1.0 if lefthand else -1.0))
     starts, ends = (polyline.project(line, np.array([lane[k] for lane in lanes_m]))[0] for k in (0, -1))
     return Street(
         row.attrib["id"],
@@ -211,19 +213,19 @@ def _for_cars(lane: ET.Element, row: ET.Element) -> bool:
     return "passenger" in permissions(rules.get("allow"), rules.get("disallow"))
 
 
-def beside(line: FloatArray, left_m: float) -> FloatArray:
-    """Return *line* moved to its left."""
+def offset_left(line: FloatArray, left_m: float) -> FloatArray:
+    """Return *line* (N, 2) moved to its left by *left_m*, or unchanged if that leaves no single line."""
     moved = LineString(line).offset_curve(left_m, join_style="mitre")
     return np.asarray(moved.coords) if isinstance(moved, LineString) and not moved.is_empty else line
 
 
 def _refuse_elsewhere(net: StreetNet, projection: str, bounds_m: FloatArray) -> None:
-    """Refuse an extract of another place."""
-    place = box(*(bounds_m[0] - NEAR_M), *(bounds_m[1] + NEAR_M))
-    if any(LineString(street.middle_m).intersects(place) for street in net.streets.values()):
+    """Raise a MapError if no street of the extract is near the HD map with corners *bounds_m* (2, 2)."""
+    surroundings = box(*(bounds_m[0] - NEAR_M), *(bounds_m[1] + NEAR_M))
+    if any(LineString(street.middle_m).intersects(surroundings) for street in net.streets.values()):
         return
     middle = np.mean([street.middle_m[0] for street in net.streets.values()], axis=0)
     x_m, y_m = np.array([middle, bounds_m.mean(axis=0)]).T
     lon_deg, lat_deg = pyproj.Proj(projection)(x_m, y_m, inverse=True)
-    there, here = (f"latitude {y:.4f}, longitude {x:.4f}" for x, y in zip(lon_deg, lat_deg, strict=True))
-    raise MapError(net.path, f"lies elsewhere: streets near {there}, the HD map near {here}", REMEDY)
+    streets, hd_map = (f"latitude {y:.4f}, longitude {x:.4f}" for x, y in zip(lon_deg, lat_deg, strict=True))
+    raise MapError(net.path, f"lies elsewhere: streets near {streets}, the HD map near {hd_map}", REMEDY)

@@ -1,4 +1,4 @@
-"""The plan of an HD map's net with junctions at its rim, where streets begin and end."""
+"""Extend the plan of an HD map's net by the junctions at its rim that join it to streets."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.osm.rim_joints import Joint, JointWay
 
 JointNames: TypeAlias = dict[tuple[str, bool], str]
-"""Junction at an end of a stretch, by its name and whether the map leads into it there."""
+"""Names of the junctions at ends of stretches, by stretch id and whether the map leads into the stretch there."""
 
 
 def joined_plan(
     plan: NetPlan, joints: Sequence[Joint], names: JointNames, stretches: Mapping[str, StreetStretch]
 ) -> NetPlan:
-    """Return *plan* with a junction for each of *joints*; its lanes and other junctions stay as they are.
+    """Return *plan* with a junction for each of *joints*; its lanes and other junctions are not changed.
 
     Args:
-        plan: the net of the map.
-        joints: ends of streets with ends of the map.
-        names: of their junctions.
-        stretches: streets by name, without what gave way to the joints.
+        plan: the planned net of the map.
+        joints: joints between ends of streets and ends of the map.
+        names: names of their junctions.
+        stretches: trimmed streets by id.
     """
-    node_of = {(rim.edge.id, rim.leaves): names[j.stretch.id, j.leaves] for j in joints for rim in j.rims}
+    node_of = {(rim.edge.id, rim.is_exit): names[j.stretch.id, j.is_exit] for j in joints for rim in j.rims}
     edges = tuple(
         replace(
             edge,
@@ -50,35 +50,36 @@ def joined_plan(
         for edge in plan.edges
     )
     used = {name for edge in edges for name in (edge.origin, edge.target)}
-    added = [_junction(j, names[j.stretch.id, j.leaves], stretches[j.stretch.id], plan) for j in joints]
-    ways = [_connection(way, joint) for joint in joints for way in joint.ways]
+    added = [_junction(j, names[j.stretch.id, j.is_exit], stretches[j.stretch.id], plan) for j in joints]
+    connections = [_connection_plan(way, joint) for joint in joints for way in joint.ways]
     return replace(
         plan,
         edges=edges,
         junctions=(*(junction for junction in plan.junctions if junction.id in used), *added),
-        connections=(*plan.connections, *ways),
+        connections=(*plan.connections, *connections),
     )
 
 
-def _connection(way: JointWay, joint: Joint) -> ConnectionPlan:
-    lane, street = (way.edge.id, way.lane), (joint.stretch.id, way.street_lane)
-    origin, target = (lane, street) if joint.leaves else (street, lane)
-    piece = way.edge.lanes[way.lane].piece
-    limit = min(way.edge.lanes[way.lane].speed_mps, turn_speed(way.shape_m))
-    passes = joint.leaves and way.edge.length_m < ROOM_M
-    return ConnectionPlan(origin, target, way.shape_m, limit, "", LaneConnection(piece, piece, ()), passes)
+def _connection_plan(joint_way: JointWay, joint: Joint) -> ConnectionPlan:
+    map_lane, street_lane = (joint_way.edge.id, joint_way.lane), (joint.stretch.id, joint_way.street_lane)
+    origin, target = (map_lane, street_lane) if joint.is_exit else (street_lane, map_lane)
+    lane = joint_way.edge.lanes[joint_way.lane]
+    limit = min(lane.speed_mps, turn_speed(joint_way.shape_m))
+    lane_connection = LaneConnection(lane.piece, lane.piece, ())
+    passes = joint.is_exit and joint_way.edge.length_m < ROOM_M
+    return ConnectionPlan(origin, target, joint_way.shape_m, limit, "", lane_connection, passes)
 
 
 def first_to_go(joints: Sequence[Joint]) -> list[tuple[Ends, Ends]]:
-    """Return pairs of ways into a street of which the first goes first.
+    """Return pairs of connections from the map into a street; the second yields to the first.
 
-    Where the map ends inside a junction, what is left of a connector has no room for a car that waits: who comes from
-    there passes, in the order in which that junction let him go.
+    If the map ends inside a junction, the remaining part of a connector may be too short for a waiting car. Vehicles
+    from such a short edge have priority over those from longer edges.
     """
     return [
         ((rim.edge.id, joint.stretch.id), (other.edge.id, joint.stretch.id))
         for joint in joints
-        if joint.leaves
+        if joint.is_exit
         for rim in joint.rims
         for other in joint.rims
         if rim.edge.length_m < ROOM_M <= other.edge.length_m
@@ -86,10 +87,10 @@ def first_to_go(joints: Sequence[Joint]) -> list[tuple[Ends, Ends]]:
 
 
 def _junction(joint: Joint, name: str, stretch: StreetStretch, plan: NetPlan) -> JunctionPlan:
-    """Return the junction of *joint* with the trimmed *stretch*: its shape covers ways and ends of lanes."""
-    ends = [_from_node(lane.shape_m, joint.leaves) for rim in joint.rims for lane in rim.edge.lanes]
+    """Return the junction of *joint* with the trimmed *stretch*; its shape covers connections and lane ends."""
+    lines = [_away_from_node(lane.shape_m, joint.is_exit) for rim in joint.rims for lane in rim.edge.lanes]
     widths = [lane.width_m for rim in joint.rims for lane in rim.edge.lanes]
-    ends += [_from_node(line, not joint.leaves) for line in stretch.lane_lines(plan.lefthand)]
+    lines += [_away_from_node(line, not joint.is_exit) for line in stretch.lane_lines(plan.lefthand)]
     widths += stretch.street.widths_m
     strips = [
         LineString(way.shape_m).buffer(
@@ -97,11 +98,11 @@ def _junction(joint: Joint, name: str, stretch: StreetStretch, plan: NetPlan) ->
         )
         for way in joint.ways
     ]
-    bars = [end_bar(line, width) for line, width in zip(ends, widths, strict=True)]
-    shape = junction_shape(strips, bars, [LineString(line) for line in ends])
-    middle = nearest_points(shape, MultiPoint([line[0] for line in ends]).centroid)[0]
+    bars = [end_bar(line, width) for line, width in zip(lines, widths, strict=True)]
+    shape = junction_shape(strips, bars, [LineString(line) for line in lines])
+    middle = nearest_points(shape, MultiPoint([line[0] for line in lines]).centroid)[0]
     return JunctionPlan(name, (middle.x, middle.y), shape, "priority")
 
 
-def _from_node(line_m: FloatArray, ends_there: bool) -> FloatArray:
-    return line_m[::-1] if ends_there else line_m
+def _away_from_node(line_m: FloatArray, ends_at_node: bool) -> FloatArray:
+    return line_m[::-1] if ends_at_node else line_m

@@ -1,4 +1,4 @@
-"""Where the lanes of an HD map lead out of it and into it, and which streets fit there."""
+"""Find the exits and entries at the rim of an HD map, and the streets that fit them."""
 
 from __future__ import annotations
 
@@ -17,54 +17,53 @@ from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse
 
-BEHIND_M, AHEAD_M = (
-    1.0,
-    30.0,
-)  # a street begins so far beyond the end of a lane, or ends before its beginning,
-FARTHEST_M = 100.0  # what of that way lies on the map's own area, where streets are cut away, not counted
-ASIDE_M = 7.0  # and lies so far beside it at most: OpenStreetMap and HD maps differ by 5.3 m at worst
-TURNED_RAD = math.radians(35.0)
-HEADING_M = 2.0  # over which the heading of a lane is taken
+# A street fits an exit if it begins at most BEHIND_M before and AHEAD_M beyond it; an entry likewise.
+BEHIND_M = 1.0
+AHEAD_M = 30.0  # without the part of the gap on the map's own area, where streets are cut away
+FARTHEST_M = 100.0  # the same limit including that part
+ASIDE_M = 7.0  # largest lateral offset; OpenStreetMap and HD maps differ by at most 5.3 m
+TURNED_RAD = math.radians(35.0)  # largest difference of heading
+HEADING_M = 2.0  # length over which the heading of a lane is measured
 
 
 @dataclass(frozen=True, eq=False)
 class RimEnd:
-    """Where the map ends or begins.
+    """An exit or entry of the map.
 
     Attributes:
         edge: the edge there.
-        leaves: whether the map ends there.
-        lanes: numbers of its lanes for cars.
-        at_m: (L, 2) ends of these.
-        along: (2,) unit vector of their mean direction.
+        is_exit: whether it is an exit: the edge leads out of the map.
+        lanes: indices of its lanes for cars.
+        at_m: (L, 2) end points of these lanes at the rim.
+        along: (2,) unit vector of their mean driving direction there.
     """
 
     edge: EdgePlan
-    leaves: bool
+    is_exit: bool
     lanes: tuple[int, ...]
     at_m: FloatArray
     along: FloatArray
 
     @property
     def node(self) -> str:
-        """Junction there."""
-        return self.edge.target if self.leaves else self.edge.origin
+        """Name of the junction there."""
+        return self.edge.target if self.is_exit else self.edge.origin
 
 
 def rim_ends(plan: NetPlan) -> list[RimEnd]:
-    """Return where lanes for cars lead out of the map or into it, at junctions without any connection."""
+    """Return the exits and entries of the map: ends of edges with lanes for cars, at junctions without connections."""
     edges = {edge.id: edge for edge in plan.edges}
     inner = {edges[connection.origin[0]].target for connection in plan.connections}
     return [
         end
         for edge in plan.edges
-        for leaves in (True, False)
-        if (edge.target if leaves else edge.origin) not in inner
-        and (end := _rim_end(edge, leaves)) is not None
+        for is_exit in (True, False)
+        if (edge.target if is_exit else edge.origin) not in inner
+        and (end := _rim_end(edge, is_exit)) is not None
     ]
 
 
-def _rim_end(edge: EdgePlan, leaves: bool) -> RimEnd | None:
+def _rim_end(edge: EdgePlan, is_exit: bool) -> RimEnd | None:
     lanes = tuple(index for index, lane in enumerate(edge.lanes) if lane.use is LaneUse.CAR)
     if not lanes:
         return None
@@ -72,44 +71,51 @@ def _rim_end(edge: EdgePlan, leaves: bool) -> RimEnd | None:
     for index in lanes:
         line = edge.lanes[index].shape_m
         length = line_length_m(line)
-        span = (max(length - HEADING_M, 0.0), length) if leaves else (0.0, min(HEADING_M, length))
+        span = (max(length - HEADING_M, 0.0), length) if is_exit else (0.0, min(HEADING_M, length))
         before, after = polyline.at(line, np.array(span))
-        ends.append(after if leaves else before)
+        ends.append(after if is_exit else before)
         directions.append(polyline.direction(before, after))
     along = polyline.direction(np.zeros(2), np.mean(directions, axis=0))
-    return RimEnd(edge, leaves, lanes, np.array(ends), along)
+    return RimEnd(edge, is_exit, lanes, np.array(ends), along)
 
 
 def candidates(
     rims: Sequence[RimEnd], stretches: Sequence[StreetStretch], area: BaseGeometry
 ) -> dict[RimEnd, list[StreetStretch]]:
-    """Return the stretches that fit to each end of the map of this *area*, best first."""
+    """Return the stretches that fit each exit or entry of the map with this *area*, best first."""
     fits: dict[RimEnd, list[StreetStretch]] = {}
-    for leaves in (True, False):
-        open_ends = [s for s in stretches if (s.begins_open if leaves else s.ends_open)]
+    for is_exit in (True, False):
+        open_ends = [s for s in stretches if (s.begins_open if is_exit else s.ends_open)]
         if not open_ends:
             continue
-        at = np.array([s.middle_m[0 if leaves else -1] for s in open_ends])
-        along = np.array([s.directions[0 if leaves else 1] for s in open_ends])
+        at = np.array([s.middle_m[0 if is_exit else -1] for s in open_ends])
+        along = np.array([s.directions[0 if is_exit else 1] for s in open_ends])
         for rim in rims:
-            if rim.leaves is leaves:
-                cost = _misfit(rim, at, along, area)
+            if rim.is_exit is is_exit:
+                cost = _misfits_m(rim, at, along, area)
                 fits[rim] = [open_ends[k] for k in np.argsort(cost, kind="stable") if np.isfinite(cost[k])]
     return fits
 
 
-def _misfit(rim: RimEnd, at_m: FloatArray, along: FloatArray, area: BaseGeometry) -> FloatArray:
-    """Return how badly ends of streets (S, 2) of directions (S, 2) fit, in m; infinite where they do not."""
-    ahead, aside = away(rim, at_m)
+def _misfits_m(rim: RimEnd, at_m: FloatArray, along: FloatArray, area: BaseGeometry) -> FloatArray:
+    """Return the misfit (S,) in m of street ends to *rim*; infinite if they do not fit.
+
+    Args:
+        rim: an exit or entry of the map.
+        at_m: (S, 2) ends of streets.
+        along: (S, 2) unit vectors of their directions.
+        area: area of the map.
+    """
+    ahead, aside = rim_offsets_m(rim, at_m)
     turned = np.arccos(np.clip(along @ rim.along, -1.0, 1.0))
     fits = (ahead > -BEHIND_M) & (ahead < FARTHEST_M) & (aside < ASIDE_M) & (turned < TURNED_RAD)
-    for far in np.flatnonzero(fits & (ahead > AHEAD_M)).tolist():
-        gap = LineString((rim.at_m.mean(axis=0), at_m[far]))
-        fits[far] = gap.difference(area).length < AHEAD_M
+    for row in np.flatnonzero(fits & (ahead > AHEAD_M)).tolist():
+        gap = LineString((rim.at_m.mean(axis=0), at_m[row]))
+        fits[row] = gap.difference(area).length < AHEAD_M
     return np.where(fits, aside + 0.3 * np.maximum(ahead, 0.0) + 5.0 * turned, np.inf)
 
 
-def away(rim: RimEnd, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far places (…, 2) lie beyond an end of the map, and beside it."""
-    step = (at_m - rim.at_m.mean(axis=0)) * (1.0 if rim.leaves else -1.0)
+def rim_offsets_m(rim: RimEnd, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the longitudinal offsets (…) of points (…, 2) beyond *rim*, away from the map, and the lateral ones."""
+    step = (at_m - rim.at_m.mean(axis=0)) * (1.0 if rim.is_exit else -1.0)
     return np.asarray(step @ rim.along), np.abs(step @ polyline.left_of(rim.along))

@@ -1,4 +1,4 @@
-"""Join streets to the rim of an HD map: lanes are matched by place, heading and direction."""
+"""Join streets to the rim of an HD map: choose the lanes to connect and draw curves between them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,19 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan, turn_speed
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
-from advdiff_sumo.maps.convert.osm.rim_ends import HEADING_M, RimEnd, away
+from advdiff_sumo.maps.convert.osm.rim_ends import HEADING_M, RimEnd, rim_offsets_m
 
-RADIUS_M = 30.0  # of the bends between map and street
-SHORTEST_M, TIGHTEST_MPS = (
-    6.0,
-    4.0,
-)  # of ways between map and street; at 4 m/s 2.5 m/s² sideways are 6.4 m of radius
-SHORTEST_STREET_M = 1.0  # between junctions
-LEFT_OVER_M = 5.0  # of a stretch, after its end gave way to a bend
-CURVE_POINTS = 16
+RADIUS_M = 30.0  # intended radius of the curves between map and street
+SHORTEST_M = 6.0  # shortest curve between map and street
+TIGHTEST_MPS = 4.0  # smallest speed on a curve (4 m/s at 2.5 m/s² lateral acceleration: radius 6.4 m)
+SHORTEST_STREET_M = 1.0  # shortest street between junctions
+LEFT_OVER_M = 5.0  # shortest rest of a stretch after trimming
+CURVE_POINTS = 16  # points of a curve
 
 
 @dataclass(frozen=True, eq=False)
 class JointWay:
-    """A way between a lane of the map and one of a street: numbers of both lanes, and (N, 2) line in m."""
+    """A connection between a lane of a map edge and a lane of a street: both lane indices, and line (N, 2) in m."""
 
     edge: EdgePlan
     lane: int
@@ -39,99 +37,114 @@ class JointWay:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A stretch that begins where edges of the map end (*leaves*), or ends where they begin.
+    """One end of a stretch joined to the rim of the map.
 
     Attributes:
-        gives_way_m: how much of the stretch's end gives way to bends.
+        stretch: the stretch.
+        is_exit: whether the stretch begins at exits of the map; otherwise it ends at entries.
+        rims: the exits or entries.
+        ways: the connections between their lanes and those of the stretch.
+        trim_m: length of the stretch at this end that the connections replace.
     """
 
     stretch: StreetStretch
-    leaves: bool
+    is_exit: bool
     rims: tuple[RimEnd, ...]
     ways: tuple[JointWay, ...]
-    gives_way_m: float
+    trim_m: float
 
 
-def joints(
+def build_joints(
     plan: NetPlan, fits: Mapping[RimEnd, Sequence[StreetStretch]], allowed: Collection[str]
 ) -> list[Joint]:
-    """Return a joint for each end of a stretch among *allowed* that is the best fit for some end of the map."""
+    """Return a joint for each end of an *allowed* stretch that fits some exit or entry of the map best."""
     rims_of: dict[tuple[str, bool], list[RimEnd]] = defaultdict(list)
     stretch_of: dict[str, StreetStretch] = {}
     for rim, stretches in fits.items():
         best = next((stretch for stretch in stretches if stretch.id in allowed), None)
         if best is not None:
-            rims_of[best.id, rim.leaves].append(rim)
+            rims_of[best.id, rim.is_exit].append(rim)
             stretch_of[best.id] = best
-    lines = _Lines(plan)
-    both = {name for name, leaves in rims_of if (name, not leaves) in rims_of}
-    built = (
-        _joint(stretch_of[name], leaves, rims, lines, plan.lefthand, name in both)
-        for (name, leaves), rims in rims_of.items()
+    lines = _MapLines(plan)
+    joined_at_both_ends = {name for name, is_exit in rims_of if (name, not is_exit) in rims_of}
+    joints = (
+        _build_joint(stretch_of[name], is_exit, rims, lines, plan.lefthand, name in joined_at_both_ends)
+        for (name, is_exit), rims in rims_of.items()
     )
-    return [joint for joint in built if joint is not None]
+    return [joint for joint in joints if joint is not None]
 
 
-class _Lines:
-    """Centre lines of the map's lanes and ways, to see who would be crossed."""
+class _MapLines:
+    """Index of the centre lines of the map's lanes and connections, to find those that a line crosses."""
 
     def __init__(self, plan: NetPlan) -> None:
         lanes = [(edge.id, lane.shape_m) for edge in plan.edges for lane in edge.lanes]
-        ways = [("", connection.shape_m) for connection in plan.connections]
-        self._names = [name for name, _ in (*lanes, *ways)]
-        self._lines = [LineString(line) for _, line in (*lanes, *ways)]
+        connections = [("", connection.shape_m) for connection in plan.connections]
+        self._names = [name for name, _ in (*lanes, *connections)]
+        self._lines = [LineString(line) for _, line in (*lanes, *connections)]
         self._tree = shapely.STRtree(self._lines)
 
-    def crossed(self, line_m: FloatArray, but: Collection[str]) -> bool:
-        """Return whether a line crosses any lane of the map except those of the edges *but*."""
+    def are_crossed(self, line_m: FloatArray, except_edges: Collection[str]) -> bool:
+        """Return whether a line (N, 2) meets a lane or connection of the map other than lanes of *except_edges*."""
         line = LineString(line_m)
         numbers = self._tree.query(line, predicate="intersects").tolist()
-        return any(self._names[number] not in but for number in numbers)
+        return any(self._names[number] not in except_edges for number in numbers)
 
 
-def _joint(
-    stretch: StreetStretch, leaves: bool, rims: list[RimEnd], lines: _Lines, lefthand: bool, both: bool
+def _build_joint(
+    stretch: StreetStretch,
+    is_exit: bool,
+    rims: list[RimEnd],
+    lines: _MapLines,
+    lefthand: bool,
+    both_ends: bool,
 ) -> Joint | None:
-    """Return the joint of one end of *stretch*; ends of the map that no drivable way leads from are left out."""
-    line = stretch.middle_m if leaves else stretch.middle_m[::-1]
+    """Return the joint of one end of *stretch* with *rims*, or None if none is possible.
+
+    Exits and entries are left out if their connections would be too tight or cross other lanes of the map. With
+    *both_ends*, the stretch gets a joint at either end, and each may trim half of it.
+    """
+    line = stretch.middle_m if is_exit else stretch.middle_m[::-1]
     if stretch.clear_m < SHORTEST_STREET_M:
         return None
-    room_m = max(stretch.clear_m - LEFT_OVER_M, 0.0) * (0.5 if both else 1.0)
-    gives_way_m = float(np.clip(max(_bend_m(rim, line) for rim in rims), 0.0, room_m))
-    lanes = _street_lanes(stretch, leaves, gives_way_m, lefthand)
-    joined = {rim.edge.id for rim in rims}
+    longest_trim_m = max(stretch.clear_m - LEFT_OVER_M, 0.0) * (0.5 if both_ends else 1.0)
+    trim_m = float(np.clip(max(_bend_length_m(rim, line) for rim in rims), 0.0, longest_trim_m))
+    lanes = _street_lanes(stretch, is_exit, trim_m, lefthand)
+    joined_edges = {rim.edge.id for rim in rims}
     ways: list[JointWay] = []
     kept = []
-    for rim, pairs in _paired(rims, lanes, every_street_lane=not leaves).items():
-        own = [_way(rim, lane, street_lane, lanes) for lane, street_lane in pairs]
+    for rim, pairs in _paired(rims, lanes, every_street_lane=not is_exit).items():
+        rim_ways = [_curve(rim, lane, street_lane, lanes) for lane, street_lane in pairs]
         if not any(
-            turn_speed(way.shape_m) < TIGHTEST_MPS or lines.crossed(way.shape_m, joined) for way in own
+            turn_speed(way.shape_m) < TIGHTEST_MPS or lines.are_crossed(way.shape_m, joined_edges)
+            for way in rim_ways
         ):
-            ways += own
+            ways += rim_ways
             kept.append(rim)
-    return Joint(stretch, leaves, tuple(kept), tuple(ways), gives_way_m) if kept else None
+    return Joint(stretch, is_exit, tuple(kept), tuple(ways), trim_m) if kept else None
 
 
-def _bend_m(rim: RimEnd, line_m: FloatArray) -> float:
-    """Return how much of a street's end has to give way for a bend of :data:`RADIUS_M` from *rim* to it.
+def _bend_length_m(rim: RimEnd, line_m: FloatArray) -> float:
+    """Return the length in m of a street's end that a curve of radius :data:`RADIUS_M` from *rim* has to replace.
 
-    A cubic from one straight line to another one *y* m beside it within *x* m has radius x² / 6 y at its ends.
+    A cubic from one straight line to a parallel one at distance *y*, over the length *x*, has radius x² / 6 y at its
+    ends.
     """
-    ahead, aside = away(rim, line_m[0])
+    ahead, aside = rim_offsets_m(rim, line_m[0])
     return max(SHORTEST_M, math.sqrt(6.0 * RADIUS_M * float(aside))) - float(ahead)
 
 
 @dataclass(frozen=True, eq=False)
 class StreetLanes:
-    """Lanes for cars at one end of a stretch: numbers, places (L, 2) and unit vector in driving direction."""
+    """Lanes for cars at one end of a stretch: indices, positions (L, 2) in m, and unit vector of driving direction."""
 
     numbers: tuple[int, ...]
     at_m: FloatArray
     along: FloatArray
 
 
-def _street_lanes(stretch: StreetStretch, leaves: bool, gives_way_m: float, lefthand: bool) -> StreetLanes:
-    s = gives_way_m if leaves else stretch.length_m - gives_way_m
+def _street_lanes(stretch: StreetStretch, is_exit: bool, trim_m: float, lefthand: bool) -> StreetLanes:
+    s = trim_m if is_exit else stretch.length_m - trim_m
     at = polyline.at(stretch.middle_m, s)
     reach = np.clip([s - HEADING_M, s + HEADING_M], 0.0, stretch.length_m)
     along = polyline.direction(*polyline.at(stretch.middle_m, reach))
@@ -144,34 +157,35 @@ def _street_lanes(stretch: StreetStretch, leaves: bool, gives_way_m: float, left
 def _paired(
     rims: Sequence[RimEnd], lanes: StreetLanes, *, every_street_lane: bool
 ) -> dict[RimEnd, list[tuple[int, int]]]:
-    """Return for each end of the map its pairs of (position among its lanes, position among the street's).
+    """Return for each exit or entry the pairs (number among its lanes, number among the street's lanes) to connect.
 
-    Lanes side by side go to lanes side by side: all are moved by the same offset, with which most lie on a lane of
-    the street, and take the nearest. With *every_street_lane*, street lanes that are left take the nearest lane.
+    All map lanes are shifted by a common lateral offset, chosen so that they lie as close to street lanes as possible.
+    Then each takes the nearest street lane, so that neighbours stay neighbours. With *every_street_lane*, street lanes
+    that are left take the nearest map lane.
     """
     left = polyline.left_of(lanes.along)
-    street = lanes.at_m @ left
-    places = [(rim, k) for rim in rims for k in range(len(rim.lanes))]
-    own = np.concatenate([rim.at_m @ left for rim in rims])
-    shifts = (street - own[:, None]).ravel()
-    gaps = np.abs(own[:, None] + shifts[:, None, None] - street)  # shift, lane, street lane
-    best = shifts[np.argmin(gaps.min(axis=2).sum(axis=1) + 0.01 * np.abs(shifts))]
-    gap = np.abs(own[:, None] + best - street)
-    chosen = {(lane, int(gap[lane].argmin())) for lane in range(len(own))}
+    street_offsets = lanes.at_m @ left
+    rim_lanes = [(rim, k) for rim in rims for k in range(len(rim.lanes))]
+    map_offsets = np.concatenate([rim.at_m @ left for rim in rims])
+    shifts = (street_offsets - map_offsets[:, None]).ravel()
+    gaps = np.abs(map_offsets[:, None] + shifts[:, None, None] - street_offsets)  # (shift, lane, street lane)
+    shift = shifts[np.argmin(gaps.min(axis=2).sum(axis=1) + 0.01 * np.abs(shifts))]
+    gap = np.abs(map_offsets[:, None] + shift - street_offsets)
+    chosen = {(lane, int(gap[lane].argmin())) for lane in range(len(map_offsets))}
     if every_street_lane:
-        served = {number for _, number in chosen}
-        chosen |= {(int(gap[:, n].argmin()), n) for n in range(len(street)) if n not in served}
+        used = {street_lane for _, street_lane in chosen}
+        chosen |= {(int(gap[:, n].argmin()), n) for n in range(len(street_offsets)) if n not in used}
     pairs: dict[RimEnd, list[tuple[int, int]]] = {rim: [] for rim in rims}
-    for lane, number in sorted(chosen):
-        rim, k = places[lane]
-        pairs[rim].append((k, number))
+    for lane, street_lane in sorted(chosen):
+        rim, k = rim_lanes[lane]
+        pairs[rim].append((k, street_lane))
     return pairs
 
 
-def _way(rim: RimEnd, lane: int, street_lane: int, lanes: StreetLanes) -> JointWay:
-    """Return a way along a cubic that has the headings of both lanes at its ends."""
+def _curve(rim: RimEnd, lane: int, street_lane: int, lanes: StreetLanes) -> JointWay:
+    """Return the connection of two lanes: a cubic that has the headings of both lanes at its ends."""
     ends = [(rim.at_m[lane], rim.along), (lanes.at_m[street_lane], lanes.along)]
-    (start, along0), (end, along1) = ends if rim.leaves else ends[::-1]
+    (start, along0), (end, along1) = ends if rim.is_exit else ends[::-1]
     reach = float(np.hypot(*(end - start)))
     t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
     bend = (t**3 - 2.0 * t**2 + t) * along0 + (t**3 - t**2) * along1

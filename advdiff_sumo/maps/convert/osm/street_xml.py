@@ -1,4 +1,4 @@
-"""Streets beyond the rim of a map as netconvert's plain XML."""
+"""Write streets beyond the rim of a map as netconvert's plain XML."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from advdiff_sumo.maps.convert.osm.import_streets import StreetNet
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
-KEPT = ("priority", "numLanes", "speed", "width", "allow", "disallow")  # of a street's attributes
-LANE_KEPT = ("index", "speed", "width", "allow", "disallow")
+KEPT = ("priority", "numLanes", "speed", "width", "allow", "disallow")  # attributes that streets keep
+LANE_KEPT = ("index", "speed", "width", "allow", "disallow")  # attributes that their lanes keep
 
 
 @dataclass(frozen=True, eq=False)
 class StreetRows:
-    """Rows of nodes, edges (roundabouts among them) and connections."""
+    """Rows of nodes, edges (including roundabouts) and connections."""
 
     nodes: tuple[ET.Element, ...] = ()
     edges: tuple[ET.Element, ...] = ()
@@ -34,7 +34,14 @@ def street_rows(
     graph: StretchGraph,
     joints: Mapping[tuple[str, bool], str],
 ) -> StreetRows:
-    """Return the rows of *stretches* of *net*, which follow each other as in *graph*; *joints* name junctions."""
+    """Return the rows of streets.
+
+    Args:
+        net: the streets of the extract.
+        stretches: the parts of streets to write.
+        graph: connections between them.
+        joints: names of the junctions that join a stretch to the map, by stretch id and whether at its beginning.
+    """
     ends = {
         stretch.id: (
             joints.get((stretch.id, True), stretch.street.origin),
@@ -64,7 +71,7 @@ def _edge(stretch: StreetStretch, origin: str, target: str) -> ET.Element:
 
 
 def _roundabouts(net: StreetNet, ends: Mapping[str, tuple[str, str]]) -> Iterator[ET.Element]:
-    """Yield the roundabouts of which nothing was cut off."""
+    """Yield the roundabouts of which no edge was cut."""
     for row in net.roundabouts:
         if all(name in ends for name in row.get("edges", "").split()):
             yield row
@@ -73,7 +80,7 @@ def _roundabouts(net: StreetNet, ends: Mapping[str, tuple[str, str]]) -> Iterato
 def _connections(graph: StretchGraph) -> Iterator[ET.Element]:
     """Yield the connections between streets.
 
-    A lane all of whose targets were cut away gets those of the lane nearest to it that has any.
+    A lane without connections, because its targets were cut away, gets those of the nearest lane with connections.
     """
     targets: dict[str, dict[int, list[ET.Element]]] = defaultdict(lambda: defaultdict(list))
     lanes: dict[str, int] = {}

@@ -1,1 +1,1 @@
-"""Programs of the signals of a converted net: who has green together, yellow and all-red times, cycle lengths."""
+"""Signal programs of a converted net: which links have green together, yellow and all-red times, cycle lengths."""

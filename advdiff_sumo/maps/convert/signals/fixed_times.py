@@ -1,4 +1,4 @@
-"""Fixed cycles after Webster's formula, set by SUMO's own tool ``tlsCycleAdaptation.py`` for random traffic."""
+"""Set fixed cycles by Webster's formula for random traffic, with SUMO's tool ``tlsCycleAdaptation.py``."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S
 from advdiff_sumo.maps.sumo_files import sumo_home
 
 HOUR_S = 3600.0
-SEED = 1
+SEED = 1  # of the random traffic
 
 
 def set_fixed_times(net: Path, vehicles_per_hour: int) -> int:
-    """Give the signals of *net* fixed cycles and greens; return how many have traffic to be timed by.
+    """Give the signals of *net* fixed cycles and green times; return the number of signals that were timed by traffic.
 
-    The tool takes one lost time for all phases: the mean yellow and all-red of the net. Yellow and all-red themselves
-    stay as they are, and so do the greens of signals without traffic.
+    The tool uses one lost time for all phases, here the mean yellow plus all-red time of the net. Yellow and all-red
+    times are not changed, nor are the green times of signals without traffic.
 
     Args:
-        net: with programs of :func:`.programs.write_programs` and no crossings on foot yet.
-        vehicles_per_hour: on random trips, for which the times are set.
+        net: a net with programs of :func:`.programs.write_programs`, still without pedestrian crossings.
+        vehicles_per_hour: amount of traffic, on random trips.
 
     Raises:
         NetError: SUMO's tools refused the net.
@@ -38,23 +38,23 @@ def set_fixed_times(net: Path, vehicles_per_hour: int) -> int:
     if not programs:
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        greens = _greens(net, Path(folder), vehicles_per_hour, _lost_s(programs))
+        greens = _timed_phases(net, Path(folder), vehicles_per_hour, _lost_s(programs))
     for program in programs:
-        _fix(program, greens.get(program.get("id", ""), []))
+        _make_static(program, greens.get(program.get("id", ""), []))
     ET.ElementTree(root).write(net, encoding="utf-8", xml_declaration=True)
     return len(greens)
 
 
 def _lost_s(programs: Sequence[ET.Element]) -> int:
-    """Return the mean yellow and all-red after a green in whole seconds."""
+    """Return the mean yellow plus all-red time after a green in whole seconds."""
     phases = [phase for program in programs for phase in program.iterfind("phase")]
     greens = sum("minDur" in phase.attrib for phase in phases)
     changes_s = sum(float(phase.attrib["duration"]) for phase in phases if "minDur" not in phase.attrib)
     return round(changes_s / greens)
 
 
-def _greens(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dict[str, list[str]]:
-    """Return the durations of all phases by signal, as the tool sets them."""
+def _timed_phases(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dict[str, list[str]]:
+    """Return the durations of all phases in s, as text by signal, as the tool sets them."""
     trips, routes, programs = (folder / name for name in ("trips.xml", "routes.rou.xml", "programs.xml"))
     traffic = {
         "--net-file": net,
@@ -64,7 +64,7 @@ def _greens(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dic
         "--period": HOUR_S / vehicles_per_hour,
         "--seed": SEED,
     }
-    _run(net, "randomTrips.py", traffic)
+    _run_tool(net, "randomTrips.py", traffic)
     times = {
         "--net-file": net,
         "--route-files": routes,
@@ -73,9 +73,10 @@ def _greens(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dic
         "--yellow-time": lost_s,
         "--lost-time": lost_s,
         "--min-green": round(SHORTEST_GREEN_S),
-        "--green-filter-time": round(LONGEST_ALL_RED_S) + 1,  # greens that go on while others get clear
+        # Shorter phases are not counted as green: in them, links keep green while others are cleared.
+        "--green-filter-time": round(LONGEST_ALL_RED_S) + 1,
     }
-    _run(net, "tlsCycleAdaptation.py", times)
+    _run_tool(net, "tlsCycleAdaptation.py", times)
     timed = read_root(programs, "additional", "an additional file of SUMO").iterfind("tlLogic")
     return {
         program.attrib["id"]: [phase.attrib["duration"] for phase in program.iterfind("phase")]
@@ -83,7 +84,8 @@ def _greens(net: Path, folder: Path, vehicles_per_hour: int, lost_s: int) -> dic
     }
 
 
-def _run(net: Path, tool: str, options: dict[str, object]) -> None:
+def _run_tool(net: Path, tool: str, options: dict[str, object]) -> None:
+    """Run a Python tool of SUMO; raise a NetError about *net* if it fails."""
     words = [str(word) for option in options.items() for word in option]
     command = [sys.executable, str(sumo_home() / "tools" / tool), *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
@@ -94,8 +96,8 @@ def _run(net: Path, tool: str, options: dict[str, object]) -> None:
         raise NetError(net, f"SUMO's {tool} failed ({reason.strip()})", "leave out --tls-cycle")
 
 
-def _fix(program: ET.Element, durations: Sequence[str]) -> None:
-    """Take the greens of *durations*, one for each phase, into *program*, and make it static."""
+def _make_static(program: ET.Element, durations: Sequence[str]) -> None:
+    """Make *program* static, with the green times of *durations* (one per phase); without these, keep its own."""
     program.set("type", "static")
     for number, phase in enumerate(program.findall("phase")):
         if "minDur" in phase.attrib:

@@ -1,1 +1,1 @@
-"""Maps that the converter reads: one module a format, all of them return a SourceMap."""
+"""Readers of the map formats that can be converted: one module per format; each returns a SourceMap."""

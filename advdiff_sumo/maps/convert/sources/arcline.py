@@ -1,4 +1,4 @@
-"""Dubins paths of the nuScenes map expansion → polylines, by exact integration."""
+"""Turn the Dubins paths of the nuScenes map expansion into polylines, by exact integration."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 
-TURN = {"L": 1.0, "S": 0.0, "R": -1.0}
-SAGITTA_M = 0.002  # how far a chord may lie off its arc
-POINT_GAP_M = 0.001  # nearer points are one
-CHAIN_GAP_M = 1.0  # pieces of one path farther apart do not belong together
-END_GAP_M = 0.5  # integration that ends farther from the stated end pose contradicts it
-MOST_TURNS = 50  # a path that turns round more often is no lane, and takes long to sample
+TURN = {"L": 1.0, "S": 0.0, "R": -1.0}  # sign of the curvature
+SAGITTA_M = 0.002  # largest distance between an arc and its chords
+POINT_GAP_M = 0.001  # points nearer to each other are merged
+CHAIN_GAP_M = 1.0  # largest gap between consecutive pieces of a path
+END_GAP_M = 0.5  # largest distance between the integrated end and the stated end pose
+MOST_TURNS = 50  # a path with more full turns cannot be a lane, and takes long to sample
 
 
 def sample_path(
@@ -30,12 +30,12 @@ def sample_path(
     Args:
         pieces: records with ``start_pose`` [x, y, yaw], ``shape`` (three of L, S, R), ``radius`` in m and
             ``segment_length`` (three arc lengths in m); an ``end_pose``, where there is one, is checked.
-        longest_m: a longer path is refused before it is sampled.
-        notes: counts start headings that were turned by half a turn and put right by the end pose.
+        longest_m: longer paths are refused before they are sampled.
+        notes: counts start headings that were wrong by half a turn and were corrected by the end pose.
 
     Raises:
-        ValueError: no pieces, a field missing or malformed, a number that is not finite, a path that is too long
-            or turns round many times, or pieces that do not follow one another.
+        ValueError: there are no pieces, a field is missing or malformed, a number is not finite, the path is too long
+            or makes too many full turns, or pieces do not follow one another.
     """
     if not pieces:
         raise ValueError("the path has no pieces")
@@ -45,7 +45,7 @@ def sample_path(
         raise ValueError(f"the path is {total:.0f} m long, more than the map's extent of {longest_m:.0f} m")
     points: list[tuple[float, float]] = []
     for piece in parsed:
-        part = _checked(piece, notes)
+        part = _points_of(piece, notes)
         if points and math.dist(points[-1], part[0]) > CHAIN_GAP_M:
             raise ValueError(f"a piece begins {math.dist(points[-1], part[0]):.1f} m from the one before")
         points += part
@@ -64,6 +64,7 @@ class _DubinsPiece:
 
 
 def _parse(piece: Mapping[str, Any]) -> _DubinsPiece:
+    """Return a record as a Dubins piece; raise a ValueError if it is malformed."""
     try:
         x, y, yaw = (float(v) for v in piece["start_pose"])
         radius = float(piece["radius"])
@@ -95,8 +96,8 @@ def _end_pose(value: Any) -> tuple[float, float, float] | None:
     return x, y, yaw
 
 
-def _checked(piece: _DubinsPiece, notes: Counter[str] | None) -> list[tuple[float, float]]:
-    """Return the points of *piece*, which must end at its stated end pose; a heading turned by π is put right."""
+def _points_of(piece: _DubinsPiece, notes: Counter[str] | None) -> list[tuple[float, float]]:
+    """Return the points of *piece*, which must end at its stated end pose; a start heading wrong by π is corrected."""
     yaw = piece.start[2]
     points = _integrate(piece, yaw)
     if piece.end is None or math.dist(points[-1], piece.end[:2]) <= END_GAP_M:
@@ -110,6 +111,7 @@ def _checked(piece: _DubinsPiece, notes: Counter[str] | None) -> list[tuple[floa
 
 
 def _integrate(piece: _DubinsPiece, yaw: float) -> list[tuple[float, float]]:
+    """Return the points of *piece* with start heading *yaw* in rad."""
     points = [piece.start[:2]]
     for turn, length in zip(piece.turns, piece.lengths_m, strict=True):
         if length > 0:
@@ -136,7 +138,7 @@ def _segment(
 
 
 def drop_repeats(line: FloatArray, gap_m: float = POINT_GAP_M) -> FloatArray:
-    """Return *line* (N, 2) without points nearer than *gap_m* to the one kept before; both ends stay."""
+    """Return *line* (N, 2) without points nearer than *gap_m* to the last one kept; both end points are kept."""
     kept = [0]
     for index in range(1, len(line)):
         if math.dist(line[index], line[kept[-1]]) >= gap_m:

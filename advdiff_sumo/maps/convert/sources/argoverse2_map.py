@@ -1,6 +1,6 @@
-"""Argoverse 2 vector maps (Wilson et al. 2021, arXiv:2301.00493): ``log_map_archive_*.json``.
+"""Read Argoverse 2 vector maps (Wilson et al. 2021, arXiv:2301.00493): ``log_map_archive_*.json``.
 
-Coordinates are those of the city in m, x east, y north; boundaries run in driving direction.
+Coordinates are those of the city in m, x east, y north. Boundaries run in driving direction.
 """
 
 from __future__ import annotations
@@ -40,14 +40,16 @@ def argoverse2_map(data: object, path: Path) -> SourceMap:
     """Return the map in *data*, the JSON of *path*.
 
     Lanes with ``is_intersection`` are connectors. The centre line runs midway between the boundaries, as in the
-    official API; marks with DASHED in their names may be crossed.
+    official API. Lane marks with DASHED in their name may be crossed.
 
     Raises:
         MapError: a layer is missing or malformed, or no lane is usable.
     """
     layers = _layers(data, path)
     faults = MapFaults(path)
-    rows = [row for key, value in layers["lane_segments"].items() if (row := _lane(key, value, faults))]
+    rows = [
+        row for key, value in layers["lane_segments"].items() if (row := _bounded_lane(key, value, faults))
+    ]
     lanes = source_lanes(rows, faults)
     if not lanes:
         raise MapError(path, "holds no usable lane in 'lane_segments'", REMEDY)
@@ -69,12 +71,13 @@ def argoverse2_map(data: object, path: Path) -> SourceMap:
 
 
 def _projection(name: str) -> str | None:
-    """Return the projection of the city in a file's *name*, as maps of the sensor and lidar data sets have it."""
+    """Return the projection of the city that a file's *name* holds (sensor and lidar data sets), else None."""
     city = CITY.search(name)
     return argoverse_projection(city[1]) if city else None
 
 
 def _layers(data: object, path: Path) -> dict[str, dict[str, Any]]:
+    """Return the layers of a map; raise a MapError if one is missing or there is no lane."""
     if not isinstance(data, dict):
         raise MapError(path, "is JSON of another format, not an Argoverse 2 map", REMEDY)
     for layer in LAYERS:
@@ -85,11 +88,12 @@ def _layers(data: object, path: Path) -> dict[str, dict[str, Any]]:
     return {layer: data[layer] for layer in LAYERS}
 
 
-def _lane(key: str, row: object, faults: MapFaults) -> BoundedLane | None:
+def _bounded_lane(key: str, row: object, faults: MapFaults) -> BoundedLane | None:
+    """Return the lane of a record; None, with a note in *faults*, if the record is malformed."""
     try:
         if not isinstance(row, dict):
             raise TypeError("it is no record")
-        left, right = _places(row["left_lane_boundary"]), _places(row["right_lane_boundary"])
+        left, right = _points_3d(row["left_lane_boundary"]), _points_3d(row["right_lane_boundary"])
         return BoundedLane(
             token=str(key),
             left_m=left[:, :2],
@@ -99,7 +103,7 @@ def _lane(key: str, row: object, faults: MapFaults) -> BoundedLane | None:
             use=USES.get(str(row.get("lane_type")), LaneUse.CAR),
             successors=tuple(map(str, row["successors"])),
             predecessors=tuple(map(str, row["predecessors"])),
-            left_neighbour=_name(row.get("left_neighbor_id")),
+            left_neighbour=_text(row.get("left_neighbor_id")),
             left_dashed=_dashed(row.get("left_lane_mark_type")),
             right_dashed=_dashed(row.get("right_lane_mark_type")),
         )
@@ -109,22 +113,22 @@ def _lane(key: str, row: object, faults: MapFaults) -> BoundedLane | None:
         return None
 
 
-def _name(value: object) -> str | None:
+def _text(value: object) -> str | None:
     return None if value is None else str(value)
 
 
 def _dashed(mark: object) -> bool | None:
-    """Return whether a mark may be crossed; None where there is none."""
+    """Return whether a lane mark may be crossed; None if there is no mark."""
     return None if mark in (None, "NONE", "UNKNOWN") else "DASHED" in str(mark)
 
 
 def _points(rows: Sequence[Row]) -> FloatArray:
-    places = np.array([[float(row["x"]), float(row["y"])] for row in rows], dtype=np.float64)
-    return on_earth(places.reshape(-1, 2))
+    points = np.array([[float(row["x"]), float(row["y"])] for row in rows], dtype=np.float64)
+    return on_earth(points.reshape(-1, 2))
 
 
-def _places(rows: Sequence[Row]) -> FloatArray:
-    """Return points (N, 3): the official API takes lengths of boundaries in space."""
+def _points_3d(rows: Sequence[Row]) -> FloatArray:
+    """Return points (N, 3) with heights, as the official API measures lengths of boundaries in 3D."""
     heights = [float(row.get("z", 0.0)) for row in rows]
     return on_earth(np.column_stack((_points(rows), heights)))
 
@@ -140,13 +144,13 @@ def _crossings(rows: Mapping[str, Any], faults: MapFaults) -> list[Polygon]:
 
 
 def _area(row: Any, key: str, faults: MapFaults, *sides: str) -> Polygon | None:
-    """Return the polygon whose ring is one side, or runs along one and back along the other."""
+    """Return the polygon with one side as its ring, or the polygon between two sides; None if it is unusable."""
     try:
-        first, *rest = (_points(row[side]) for side in sides)
+        first, *others = (_points(row[side]) for side in sides)
     except (KeyError, TypeError, ValueError):
         area = None
     else:
-        area = largest_part(np.vstack((first, *(line[::-1] for line in rest))))
+        area = largest_part(np.vstack((first, *(line[::-1] for line in others))))
     if area is None:
         faults.add("area unusable", f"the area {key!r} ({sides[0]}) is unusable and left out")
     return area

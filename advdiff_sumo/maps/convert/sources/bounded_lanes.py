@@ -1,4 +1,7 @@
-"""Lanes that a map gives by their left and right boundaries: Argoverse 2, CommonRoad, Lanelet2, nuPlan."""
+"""Turn lanes that a map states by their left and right boundaries into source lanes and links.
+
+Used for Argoverse 2, CommonRoad, Lanelet2 and OpenDRIVE.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,9 @@ from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane
 
-WIDEST_M = 30.0  # boundaries farther apart do not bound one lane
-FARTHEST_M = 1e8  # no coordinate is larger
-LONGEST_M = 50_000.0  # a boundary or the rim of an area that is longer has a coordinate that is none
+WIDEST_M = 30.0  # largest distance between the boundaries of a lane
+FARTHEST_M = 1e8  # largest valid coordinate
+LONGEST_M = 50_000.0  # a longer boundary must contain a wrong coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +31,13 @@ class BoundedLane:
         token: its name in the map.
         left_m, right_m: (N, 2) and (M, 2) boundaries in driving direction.
         is_connector: whether it lies in a junction.
-        use: who may drive on it.
+        use: which vehicles may drive on it.
         speed_mps: speed limit, or None.
         successors, predecessors: tokens of the lanes after and before it.
         left_neighbour: token of the lane on its left, of either direction, or None.
         left_dashed: whether the marking on the left may be crossed; None: there is no marking.
         right_dashed: the same on the right.
-        centre_m: (N, 2) centre line where the map states one; None: midway between the boundaries.
+        centre_m: (N, 2) centre line if the map states one; None: midway between the boundaries.
     """
 
     token: str
@@ -52,39 +55,39 @@ class BoundedLane:
 
 
 def on_earth(places_m: FloatArray) -> FloatArray:
-    """Return *places_m* (N, D) with NaN for coordinates that are none, so that their lanes are left out."""
+    """Return *places_m* (N, D) with NaN for impossible coordinates, so that their lanes are left out later."""
     return np.where(np.abs(places_m) <= FARTHEST_M, places_m, np.nan)
 
 
 def midline(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
-    """Return the line (K, 2) midway between boundaries: the mean of their points where they have as many."""
+    """Return the line (K, 2) midway between boundaries: the mean of their points if they have equally many."""
     if len(left_m) == len(right_m):
         return np.asarray(0.5 * (left_m + right_m))[:, :2]
     return midline_by_length(left_m, right_m)
 
 
 def midline_by_length(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
-    """Return the line (K, 2) midway between places at equal shares of the lengths of two boundaries (N, 2 or 3).
+    """Return the line (K, 2) midway between points at equal shares of the lengths of two boundaries (N, 2 or 3).
 
-    Its points lie where one of the boundaries has one.
+    It has a point for each point of either boundary.
     """
     sides = [(line, _shares(line)) for line in (left_m, right_m)]
-    both = np.unique(np.concatenate([shares for _, shares in sides]).round(9))
-    places = [
-        np.stack([np.interp(both, shares, line[:, axis]) for axis in (0, 1)], axis=-1)
+    all_shares = np.unique(np.concatenate([shares for _, shares in sides]).round(9))
+    points = [
+        np.stack([np.interp(all_shares, shares, line[:, axis]) for axis in (0, 1)], axis=-1)
         for line, shares in sides
     ]
-    return np.asarray(0.5 * (places[0] + places[1]))
+    return np.asarray(0.5 * (points[0] + points[1]))
 
 
 def _shares(line: FloatArray) -> FloatArray:
-    """Return the length (N,) up to each point of a line in two or three dimensions, as a share of the whole."""
+    """Return the arc length (N,) of each point of a 2D or 3D line as a share of the whole length."""
     lengths = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
     return np.asarray(lengths / max(lengths[-1], 1e-9))
 
 
 def source_lanes(rows: Iterable[BoundedLane], faults: MapFaults) -> list[SourceLane]:
-    """Return the usable lanes; the others are left out, counted and told."""
+    """Return the usable lanes; the others are left out and noted in *faults*."""
     by_token = {row.token: row for row in rows}
     shared = _shared_markings(by_token)
     lanes = []
@@ -101,9 +104,10 @@ def source_lanes(rows: Iterable[BoundedLane], faults: MapFaults) -> list[SourceL
 def lane_links(
     rows: Iterable[BoundedLane], lanes: Iterable[SourceLane], faults: MapFaults
 ) -> tuple[list[tuple[str, str]], int]:
-    """Return each usable link once, whichever side states it, and how many are stated.
+    """Return each usable link once, and the number of stated links between lanes of the file.
 
-    Links to lanes that the file does not hold are those of a clipped map; they are counted alone.
+    Either lane may state a link. Links to lanes that the file does not hold come from a clipped map; they are counted
+    in *faults* and left out.
     """
     rows = list(rows)
     known, given = {lane.token for lane in lanes}, {row.token for row in rows}
@@ -117,7 +121,7 @@ def lane_links(
 
 
 def covered_area(lanes: Iterable[SourceLane]) -> MultiPolygon:
-    """Return what the lanes cover: the drivable area of maps that state none."""
+    """Return the area that the lanes cover, as the drivable area of maps that state none."""
     areas = [lane.polygon for lane in lanes if lane.polygon is not None]
     return as_multi(shapely.union_all(areas)) if areas else MultiPolygon()
 
@@ -129,7 +133,7 @@ def as_multi(shape: shapely.Geometry) -> MultiPolygon:
 
 
 def largest_part(ring: FloatArray) -> Polygon | None:
-    """Return the polygon of *ring* (N, 2), its largest valid part where it crosses itself, or None."""
+    """Return the polygon of *ring* (N, 2), or its largest valid part if it crosses itself; None if it is unusable."""
     if len(ring) < 3 or not np.isfinite(ring).all() or not _length_m(ring) <= LONGEST_M:
         return None
     polygon = Polygon(ring)
@@ -140,6 +144,7 @@ def largest_part(ring: FloatArray) -> Polygon | None:
 
 
 def _problem(row: BoundedLane) -> str | None:
+    """Return why the boundaries of a lane are unusable, or None if they are usable."""
     for side, line in (("left", row.left_m), ("right", row.right_m)):
         if line.ndim != 2 or len(line) < 2:
             return f"its {side} boundary has fewer than two points"
@@ -154,7 +159,7 @@ def _problem(row: BoundedLane) -> str | None:
 
 
 def _length_m(line: FloatArray) -> float:
-    """Return the length of a line; infinite where it is too long for a number."""
+    """Return the length of a line (N, 2) in m; infinite if it exceeds the range of numbers."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
@@ -164,20 +169,21 @@ def _centre(row: BoundedLane) -> FloatArray:
 
 
 def _shared_markings(rows: Mapping[str, BoundedLane]) -> dict[str, str]:
-    """Return the left neighbour of each lane that runs its way behind a marking that may be crossed."""
+    """Return the left neighbours of lanes, if they have the same direction and the marking between may be crossed."""
     shared = {}
     for row in rows.values():
-        other = rows.get(str(row.left_neighbour))
-        if other is None or not row.left_dashed or _problem(row) or _problem(other):
+        left = rows.get(str(row.left_neighbour))
+        if left is None or not row.left_dashed or _problem(row) or _problem(left):
             continue
-        if math.dist(row.left_m[0], other.right_m[0]) < math.dist(row.left_m[0], other.right_m[-1]):
-            shared[row.token] = other.token
+        if math.dist(row.left_m[0], left.right_m[0]) < math.dist(row.left_m[0], left.right_m[-1]):
+            shared[row.token] = left.token
     return shared
 
 
 def _lane(row: BoundedLane, centre_m: FloatArray, shared: Mapping[str, str]) -> SourceLane:
-    on_left = shared.get(row.token)
-    on_right = [right for right, left in shared.items() if left == row.token]
+    """Return a lane as a source lane; *shared* gives the left lane behind a dashed marking, by its right lane."""
+    left_lane = shared.get(row.token)
+    right_lanes = [right for right, left in shared.items() if left == row.token]
     return SourceLane(
         token=row.token,
         is_connector=row.is_connector,
@@ -185,13 +191,13 @@ def _lane(row: BoundedLane, centre_m: FloatArray, shared: Mapping[str, str]) -> 
         polygon=largest_part(np.vstack((row.left_m, row.right_m[::-1]))),
         use=row.use,
         speed_mps=row.speed_mps,
-        left_dashed=_names(row.token, on_left) if on_left else frozenset(),
-        right_dashed=frozenset().union(*(_names(right, row.token) for right in on_right)),
+        left_dashed=_marking_names(row.token, left_lane) if left_lane else frozenset(),
+        right_dashed=frozenset().union(*(_marking_names(right, row.token) for right in right_lanes)),
         left_solid=row.left_dashed is False,
         right_solid=row.right_dashed is False,
     )
 
 
-def _names(right: str, left: str) -> frozenset[str]:
-    """Return the names of the two ends of the marking between two lanes."""
+def _marking_names(right: str, left: str) -> frozenset[str]:
+    """Return names for the two end points of the marking between two lanes."""
     return frozenset(f"{right}|{left}|{end}" for end in (0, 1))

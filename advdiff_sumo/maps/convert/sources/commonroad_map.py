@@ -1,6 +1,6 @@
-"""CommonRoad scenarios 2020a (Althoff et al. 2017, DOI 10.1109/IVS.2017.7995802): the lanelets of an XML file.
+"""Read the lanelets of CommonRoad scenarios 2020a (Althoff et al. 2017, DOI 10.1109/IVS.2017.7995802).
 
-Coordinates are those of the file in m; boundaries run in driving direction, with as many points on both sides.
+Coordinates are those of the XML file in m. Boundaries run in driving direction, with equally many points on both sides.
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ ARROWS = {
     "straightRight": frozenset({Direction.STRAIGHT, Direction.RIGHT}),
     "leftRight": frozenset({Direction.LEFT, Direction.RIGHT}),
 }
-LINE_M = 0.25  # half the depth of a painted stop line
+HALF_LINE_M = 0.25  # half the depth of a painted stop line
 
 
 def commonroad_map(root: Element, path: Path) -> SourceMap:
     """Return the lanelet network below *root*, read from *path*.
 
-    Lanelets that an intersection names as successors of its incoming ones are connectors; where the file has no
-    intersection, geometry tells them. Crosswalks and sidewalks are areas on foot, not lanes.
+    Lanelets that an intersection names as successors of its incoming lanelets are connectors. If the file has no
+    intersection, connectors are found later by geometry. Crosswalks and sidewalks become areas, not lanes.
 
     Raises:
         MapError: another format or version, or no lanelet is usable.
     """
-    _check(root, path)
+    _check_format(root, path)
     faults = MapFaults(path)
-    inside = {ref for row in root.iterfind("intersection/incoming") for ref in _successors(row)}
+    connectors = {ref for row in root.iterfind("intersection/incoming") for ref in _successors(row)}
     limits, rules = _signs(root)
-    drawn = [row for row in root.iterfind("lanelet") if _kinds(row).isdisjoint(ON_FOOT)]
-    rows = [lane for row in drawn if (lane := _lane(row, inside, limits, faults))]
+    lanelets = [row for row in root.iterfind("lanelet") if _kinds(row).isdisjoint(ON_FOOT)]
+    rows = [lane for row in lanelets if (lane := _bounded_lane(row, connectors, limits, faults))]
     lanes = source_lanes(rows, faults)
     if not lanes:
         raise MapError(path, "holds no usable lanelet", REMEDY)
@@ -83,8 +83,8 @@ def commonroad_map(root: Element, path: Path) -> SourceMap:
         walkways=tuple(_areas(root, "sidewalk", faults)),
         stop_lines=tuple(_stop_lines(root, lanes, rules)),
         signals=tuple(_signals(root)),
-        stated=StatedSizes(len(drawn), stated),
-        left_out=tuple(name for row in drawn if (name := row.get("id", "")) not in known),
+        stated=StatedSizes(len(lanelets), stated),
+        left_out=tuple(name for row in lanelets if (name := row.get("id", "")) not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
         projection=projection,
@@ -92,19 +92,20 @@ def commonroad_map(root: Element, path: Path) -> SourceMap:
 
 
 def _projection(row: Element | None, faults: MapFaults) -> str | None:
-    """Return the projection that a scenario states; ``gpsLatitude`` alone tells no frame."""
+    """Return the projection that a scenario states; ``gpsLatitude`` alone determines no frame."""
     if row is None:
         return None
     tags = {"x_m": "xTranslation", "y_m": "yTranslation", "turned_rad": "zRotation", "scale": "scaling"}
     texts = {key: row.findtext(f"additionalTransformation/{tag}") for key, tag in tags.items()}
     try:
-        moved = PlanarTransform(**{key: float(text) for key, text in texts.items() if text})
+        transform = PlanarTransform(**{key: float(text) for key, text in texts.items() if text})
     except ValueError:
-        moved = PlanarTransform(x_m=math.nan)
-    return stated_projection(row.findtext("geoReference"), moved, faults)
+        transform = PlanarTransform(x_m=math.nan)
+    return stated_projection(row.findtext("geoReference"), transform, faults)
 
 
-def _check(root: Element, path: Path) -> None:
+def _check_format(root: Element, path: Path) -> None:
+    """Raise a MapError if *root* is no CommonRoad scenario of a known version with a lanelet."""
     if root.tag != "commonRoad":
         raise MapError(path, f"begins with <{root.tag}>, so it is no CommonRoad scenario", REMEDY)
     version = root.get("commonRoadVersion")
@@ -124,7 +125,7 @@ def _kinds(row: Element) -> set[str]:
 
 
 def _signs(root: Element) -> tuple[dict[str, float], dict[str, str]]:
-    """Return speed limits in m/s and STOP_SIGN or YIELD by traffic sign."""
+    """Return, by id of the traffic sign, speed limits in m/s, and STOP_SIGN or YIELD."""
     limits: dict[str, float] = {}
     rules: dict[str, str] = {}
     for sign in root.iterfind("trafficSign"):
@@ -132,13 +133,14 @@ def _signs(root: Element) -> tuple[dict[str, float], dict[str, str]]:
         for element in sign.iterfind("trafficSignElement"):
             kind = (element.findtext("trafficSignID") or "").strip()
             if kind in SPEED_SIGNS:
-                _put_limit(limits, name, element.findtext("additionalValue"))
+                _store_limit(limits, name, element.findtext("additionalValue"))
             elif kind in STOP_SIGNS | YIELD_SIGNS:
                 rules[name] = "STOP_SIGN" if kind in STOP_SIGNS else "YIELD"
     return limits, rules
 
 
-def _put_limit(limits: dict[str, float], name: str, text: str | None) -> None:
+def _store_limit(limits: dict[str, float], name: str, text: str | None) -> None:
+    """Add the speed limit *text* to *limits* if it is a positive number."""
     try:
         value = float(text or "")
     except ValueError:
@@ -147,14 +149,17 @@ def _put_limit(limits: dict[str, float], name: str, text: str | None) -> None:
         limits[name] = value
 
 
-def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapFaults) -> BoundedLane | None:
+def _bounded_lane(
+    row: Element, connectors: set[str], limits: dict[str, float], faults: MapFaults
+) -> BoundedLane | None:
+    """Return the lane of a lanelet; None, with a note in *faults*, if a boundary is malformed."""
     name = row.get("id", "")
     speeds = [limits[ref] for ref in _refs(row, "trafficSignRef") if ref in limits]
-    _put_limit(limits, f"{name} own", row.findtext("speedLimit"))  # of version 2018b
+    _store_limit(limits, f"{name} own", row.findtext("speedLimit"))  # version 2018b
     speeds += [limits[f"{name} own"]] if f"{name} own" in limits else []
     kinds = _kinds(row)
     try:
-        left, right = _bound(row, "leftBound"), _bound(row, "rightBound")
+        left, right = _boundary(row, "leftBound"), _boundary(row, "rightBound")
     except ValueError as error:
         faults.add("lanelet malformed", f"lanelet {name!r} is left out: {error}")
         return None
@@ -162,7 +167,7 @@ def _lane(row: Element, inside: set[str], limits: dict[str, float], faults: MapF
         token=name,
         left_m=left,
         right_m=right,
-        is_connector=name in inside,
+        is_connector=name in connectors,
         use=next((use for kind, use in USES.items() if kind in kinds), LaneUse.CAR),
         speed_mps=min(speeds, default=None),
         successors=tuple(_refs(row, "successor")),
@@ -183,15 +188,16 @@ def _left_neighbour(row: Element) -> str | None:
 
 
 def _dashed(row: Element, side: str) -> bool | None:
+    """Return whether the marking of boundary *side* may be crossed; None if there is no marking."""
     mark = (row.findtext(f"{side}/lineMarking") or "").strip()
     return None if mark in ("", "unknown", "no_marking") else "dashed" in mark
 
 
-def _bound(row: Element, side: str) -> FloatArray:
-    bound = row.find(side)
-    if bound is None:
+def _boundary(row: Element, side: str) -> FloatArray:
+    boundary = row.find(side)
+    if boundary is None:
         raise ValueError(f"it has no {side}")
-    return _points(bound.iterfind("point"))
+    return _points(boundary.iterfind("point"))
 
 
 def _points(rows: Iterator[Element]) -> FloatArray:
@@ -203,10 +209,11 @@ def _points(rows: Iterator[Element]) -> FloatArray:
 
 
 def _areas(root: Element, kind: str, faults: MapFaults) -> Iterator[Polygon]:
+    """Yield the areas of the lanelets of one *kind*."""
     for row in root.iterfind("lanelet"):
         if kind in _kinds(row):
             try:
-                ring = np.vstack((_bound(row, "leftBound"), _bound(row, "rightBound")[::-1]))
+                ring = np.vstack((_boundary(row, "leftBound"), _boundary(row, "rightBound")[::-1]))
                 area = largest_part(ring)
             except ValueError as error:
                 faults.add("area malformed", f"{kind} {row.get('id', '')!r} is left out: {error}")
@@ -218,7 +225,7 @@ def _areas(root: Element, kind: str, faults: MapFaults) -> Iterator[Polygon]:
 
 
 def _stop_lines(root: Element, lanes: list[SourceLane], rules: dict[str, str]) -> Iterator[StopLine]:
-    """Yield a stop line at the end of each lanelet that a stop or yield sign governs."""
+    """Yield a stop line at the end of each lanelet with a stop or yield sign."""
     by_token = {lane.token: lane for lane in lanes}
     for row in root.iterfind("lanelet"):
         lane = by_token.get(row.get("id", ""))
@@ -228,11 +235,11 @@ def _stop_lines(root: Element, lanes: list[SourceLane], rules: dict[str, str]) -
 
 
 def _end_bar(lane: SourceLane) -> Polygon:
-    """Return the painted line across the end of *lane*, as wide as a lane at least."""
+    """Return the area of a stop line across the end of *lane*, from 1 m left to 1 m right of its centre line."""
     end, before = lane.centre_m[-1], lane.centre_m[-2]
     along = (end - before) / np.hypot(*(end - before))
     across = np.array([-along[1], along[0]])
-    return LineString([end - across, end + across]).buffer(LINE_M, cap_style="flat")
+    return LineString([end - across, end + across]).buffer(HALF_LINE_M, cap_style="flat")
 
 
 def _signals(root: Element) -> Iterator[Signal]:
@@ -248,7 +255,7 @@ def _signals(root: Element) -> Iterator[Signal]:
 
 
 def _lamps(direction: str | None) -> frozenset[Lamp]:
-    """Return the lamp of a light by what it says it governs; none where it says nothing known."""
+    """Return the lamp of a light by its stated *direction*; no lamp if it states no known direction."""
     name = (direction or "").strip()
     if name == "all":
         return frozenset({CIRCULAR})

@@ -1,4 +1,4 @@
-"""Where on earth a map lies that states a projected coordinate system and an offset: OpenDRIVE, CommonRoad."""
+"""Derive a map's projection from the coordinate system and offset that it states (OpenDRIVE, CommonRoad)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 
 @dataclass(frozen=True)
 class PlanarTransform:
-    """How places of a file become those of its coordinate system: turned and scaled, then moved by (x, y)."""
+    """Transform from coordinates of a file to its coordinate system: rotation and scaling, then translation (x, y)."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -19,20 +19,20 @@ class PlanarTransform:
     scale: float = 1.0
 
 
-def stated_projection(system: str | None, moved: PlanarTransform, faults: MapFaults) -> str | None:
-    """Return the PROJ string whose plane is the frame of a map that states a *system*, or None.
+def stated_projection(system: str | None, transform: PlanarTransform, faults: MapFaults) -> str | None:
+    """Return the PROJ string whose plane is the frame of a map that states a coordinate *system*, or None.
 
-    A system that cannot be used is told: the map needs none.
+    A system that cannot be used is noted in *faults*, but the map can be converted without it.
     """
     words = (system or "").split()
     if not words:
         return None
     try:
-        if not all(map(math.isfinite, astuple(moved))):
+        if not all(map(math.isfinite, astuple(transform))):
             raise ValueError("has an offset that is no number")
-        if moved.turned_rad or moved.scale != 1.0:
+        if transform.turned_rad or transform.scale != 1.0:
             raise ValueError("is turned or scaled, which a SUMO net cannot say")
-        return projection_from(" ".join(words), (moved.x_m, moved.y_m))
+        return projection_from(" ".join(words), (transform.x_m, transform.y_m))
     except ValueError as error:
         name = " ".join(words)[:60]
         faults.add(

@@ -1,7 +1,8 @@
-"""Lanelet2 maps (Poggenhans et al. 2018, DOI 10.1109/ITSC.2018.8569929): OSM XML with lanelet relations.
+"""Read Lanelet2 maps (Poggenhans et al. 2018, DOI 10.1109/ITSC.2018.8569929): OSM XML with lanelet relations.
 
-Places are the nodes' ``local_x``, ``local_y`` in m where all have them, else UTM of the map's middle, counted from
-the south-west corner of the map in full kilometres. Lanelets follow each other where they share end nodes.
+Positions are the nodes' ``local_x``, ``local_y`` in m if all nodes have them. Otherwise they are UTM coordinates in the
+zone of the map's middle, relative to the map's south-west corner in full kilometres. Lanelets follow each other if they
+share end nodes.
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ ON_FOOT = {"crosswalk": "crossings", "walkway": "walkways", "shared_walkway": "w
 UNITS_MPS = dict.fromkeys(("", "km/h", "kmh", "kph"), 1.0 / 3.6)
 UNITS_MPS |= dict.fromkeys(("mph", "m/h"), 0.44704) | dict.fromkeys(("m/s", "mps"), 1.0)
 SPEED = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(.*?)\s*", re.ASCII)
-SAME_PLACE_M = 0.5  # of a node in degrees and in metres
+SAME_PLACE_M = 0.5  # tolerance between a node's position in degrees and in metres
 LANE_CHANGE = ("lane_change", "lane_change:left", "lane_change:right")
 STATED = {"yes": True, "true": True, "no": False, "false": False}
-STOP_LINE_M = 0.25  # half the depth of a painted stop line
+HALF_LINE_M = 0.25  # half the depth of a painted stop line
 Tags = Mapping[str, str]
 
 
@@ -58,7 +59,7 @@ Tags = Mapping[str, str]
 class _Relation:
     id: str
     tags: Tags
-    members: tuple[tuple[str, str], ...]  # role, reference
+    members: tuple[tuple[str, str], ...]  # (role, reference)
 
     def refs(self, role: str) -> list[str]:
         return [ref for name, ref in self.members if name == role]
@@ -67,11 +68,11 @@ class _Relation:
 def lanelet2_map(root: Element, path: Path) -> SourceMap:
     """Return the lanelets below *root*, read from *path*.
 
-    Lanelets with a ``turn_direction`` are connectors; where none has one, geometry tells them. Lanelets for both
-    directions are taken in the direction in which they are drawn.
+    Lanelets with a ``turn_direction`` are connectors. If no lanelet has one, connectors are found later by geometry.
+    Lanelets for both directions are used only in the direction in which they are drawn.
 
     Raises:
-        MapError: another format, or no lanelet is usable.
+        MapError: the file has another format, or no lanelet is usable.
     """
     relations = [_relation(row) for row in root.iterfind("relation")]
     lanelets = [row for row in relations if row.tags.get("type") == "lanelet"]
@@ -82,8 +83,11 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
         raise MapError(path, "holds no relation of type lanelet, so it is no Lanelet2 map", REMEDY)
     faults = MapFaults(path)
     ways = _Ways(root, path)
-    driven = [row for row in lanelets if row.tags.get("subtype", "") in USES]
-    rows = _with_neighbours([lane for row in driven if (lane := _lane(row, ways, faults))], driven)
+    lanelets_for_vehicles = [row for row in lanelets if row.tags.get("subtype", "") in USES]
+    rows = _with_neighbours(
+        [lane for row in lanelets_for_vehicles if (lane := _bounded_lane(row, ways, faults))],
+        lanelets_for_vehicles,
+    )
     lanes = source_lanes(_with_successors(rows), faults)
     if not lanes:
         raise MapError(path, "holds no usable lanelet for vehicles", REMEDY)
@@ -101,8 +105,8 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
         walkways=tuple(areas["walkways"]),
         stop_lines=tuple(_stop_lines(rules, ways)),
         signals=tuple(_signals(rules, lanelets, ways)),
-        stated=StatedSizes(len(driven), stated),
-        left_out=tuple(row.id for row in driven if row.id not in known),
+        stated=StatedSizes(len(lanelets_for_vehicles), stated),
+        left_out=tuple(row.id for row in lanelets_for_vehicles if row.id not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
         projection=ways.projection,
@@ -119,10 +123,10 @@ def _tags(row: Element) -> Tags:
 
 
 class _Ways:
-    """Places and tags of the ways of a map, and the projection of the places where it is known."""
+    """Positions and tags of the ways of a map, and the projection of the positions if it is known."""
 
     def __init__(self, root: Element, path: Path) -> None:
-        self._xy, self.projection = _places(root, path)
+        self._xy, self.projection = _node_positions(root, path)
         self._nodes = {
             row.get("id", ""): [nd.get("ref", "") for nd in row.iterfind("nd")]
             for row in root.iterfind("way")
@@ -130,7 +134,7 @@ class _Ways:
         self.tags = {row.get("id", ""): _tags(row) for row in root.iterfind("way")}
 
     def points(self, name: str) -> FloatArray:
-        """Return the places (N, 2) of way *name*.
+        """Return the points (N, 2) of way *name* in m.
 
         Raises:
             ValueError: the way or one of its nodes does not exist.
@@ -140,14 +144,14 @@ class _Ways:
         missing = next((node for node in self._nodes[name] if node not in self._xy), None)
         if missing is not None:
             raise ValueError(f"node {missing!r} of way {name!r} does not exist")
-        places = np.array([self._xy[node] for node in self._nodes[name]], dtype=np.float64).reshape(-1, 2)
-        if np.isnan(on_earth(places)).any():
+        points = np.array([self._xy[node] for node in self._nodes[name]], dtype=np.float64).reshape(-1, 2)
+        if np.isnan(on_earth(points)).any():
             raise ValueError(f"a coordinate of way {name!r} is no place on earth")
-        return places
+        return points
 
 
-def _places(root: Element, path: Path) -> tuple[dict[str, tuple[float, float]], str | None]:
-    """Return the places of nodes in the map's metres, and the projection of these where it is known."""
+def _node_positions(root: Element, path: Path) -> tuple[dict[str, tuple[float, float]], str | None]:
+    """Return the positions of nodes in the map's frame in m, and the projection of the frame if it is known."""
     rows = [(row.get("id", ""), row, _tags(row)) for row in root.iterfind("node")]
     try:
         if all("local_x" in tags and "local_y" in tags for *_, tags in rows):
@@ -160,12 +164,15 @@ def _places(root: Element, path: Path) -> tuple[dict[str, tuple[float, float]], 
         raise MapError(path, "a node lies at no place on earth where UTM holds", REMEDY)
     zone, south, xy = _in_utm(degrees)
     corner = np.floor(xy.min(axis=0) / 1000.0) * 1000.0
-    places = {name: (float(x), float(y)) for (name, _, _), (x, y) in zip(rows, xy - corner, strict=True)}
-    return places, utm_from(zone, *corner.tolist(), south=south)
+    positions = {name: (float(x), float(y)) for (name, _, _), (x, y) in zip(rows, xy - corner, strict=True)}
+    return positions, utm_from(zone, *corner.tolist(), south=south)
 
 
 def _in_utm(degrees: FloatArray) -> tuple[int, bool, FloatArray]:
-    """Return the zone of places (N, 2) of longitude and latitude, whether it lies in the south, and (N, 2) metres."""
+    """Return UTM zone, whether it is in the southern hemisphere, and UTM coordinates (N, 2) in m of *degrees*.
+
+    *degrees* (N, 2) are longitude and latitude; their mean determines the zone.
+    """
     zone = int((degrees[:, 0].mean() + 180.0) // 6.0) + 1
     south = bool(degrees[:, 1].mean() < 0.0)
     project = pyproj.Proj(f"+proj=utm +zone={zone}{' +south' if south else ''} +ellps=WGS84 +units=m")
@@ -173,7 +180,7 @@ def _in_utm(degrees: FloatArray) -> tuple[int, bool, FloatArray]:
 
 
 def _projection(rows: Sequence[tuple[str, Element, Tags]], local_m: FloatArray) -> str | None:
-    """Return the projection of places (N, 2) that are UTM but for an offset, by their nodes' degrees, else None."""
+    """Return the projection of *local_m* (N, 2) if it differs from the nodes' UTM coordinates by a constant offset."""
     try:
         degrees = np.array([[float(row.attrib["lon"]), float(row.attrib["lat"])] for _, row, _ in rows])
     except (KeyError, ValueError):
@@ -182,19 +189,20 @@ def _projection(rows: Sequence[tuple[str, Element, Tags]], local_m: FloatArray) 
         return None
     zone, south, xy = _in_utm(degrees)
     offset = np.median(xy - local_m, axis=0)
-    same = bool((np.abs(xy - local_m - offset) < SAME_PLACE_M).all())
-    return utm_from(zone, *offset.tolist(), south=south) if same else None
+    is_constant = bool((np.abs(xy - local_m - offset) < SAME_PLACE_M).all())
+    return utm_from(zone, *offset.tolist(), south=south) if is_constant else None
 
 
-def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
+def _bounded_lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
+    """Return the lane of a lanelet; None, with a note in *faults*, if a boundary is malformed."""
     try:
-        left, right = _bounds(row, ways)
+        left, right = _boundaries(row, ways)
     except ValueError as error:
         faults.add("lanelet malformed", f"lanelet {row.id!r} is left out: {error}")
         return None
     if row.tags.get("one_way") == "no":
         faults.notes["two-way lanelets taken in the direction in which they are drawn"] += 1
-    sides = [ways.tags[row.refs(side)[0]] for side in ("left", "right")]
+    left_tags, right_tags = (ways.tags[row.refs(side)[0]] for side in ("left", "right"))
     return BoundedLane(
         token=row.id,
         left_m=left,
@@ -203,24 +211,24 @@ def _lane(row: _Relation, ways: _Ways, faults: MapFaults) -> BoundedLane | None:
         is_connector="turn_direction" in row.tags,
         use=USES[row.tags.get("subtype", "")],
         speed_mps=_speed(row.tags.get("speed_limit", ""), faults),
-        left_dashed=_dashed(sides[0]),
-        right_dashed=_dashed(sides[1]),
+        left_dashed=_dashed(left_tags),
+        right_dashed=_dashed(right_tags),
     )
 
 
 def _usable(bound_m: FloatArray) -> bool:
-    """Return whether a boundary is one that a centre line can be drawn from; others are left out later, by name."""
+    """Return whether a centre line can be drawn from a boundary (N, 2); otherwise its lane is left out later."""
     return bool(np.isfinite(bound_m).all() and np.abs(np.diff(bound_m, axis=0)).sum() < LONGEST_M)
 
 
-def _bounds(row: _Relation, ways: _Ways) -> tuple[FloatArray, FloatArray]:
-    """Return both boundaries in driving direction, turned round where they are drawn the other way."""
+def _boundaries(row: _Relation, ways: _Ways) -> tuple[FloatArray, FloatArray]:
+    """Return left and right boundary in driving direction; boundaries drawn the other way are reversed."""
     sides = []
     for side in ("left", "right"):
         parts = [ways.points(ref) for ref in row.refs(side)]
         if not parts or any(len(part) < 2 for part in parts):
             raise ValueError(f"it has no {side} boundary")
-        sides.append(_chained(parts))
+        sides.append(_joined(parts))
     left, right = sides
     along = np.hypot(*(left[0] - right[0])) + np.hypot(*(left[-1] - right[-1]))
     across = np.hypot(*(left[0] - right[-1])) + np.hypot(*(left[-1] - right[0]))
@@ -231,8 +239,8 @@ def _bounds(row: _Relation, ways: _Ways) -> tuple[FloatArray, FloatArray]:
     return (left[::-1], right[::-1]) if area > 0.0 else (left, right)
 
 
-def _chained(parts: list[FloatArray]) -> FloatArray:
-    """Return ways one after the other, each turned so that it goes on where the one before ends."""
+def _joined(parts: list[FloatArray]) -> FloatArray:
+    """Return consecutive ways as one line, each reversed if necessary to begin where the one before ends."""
     line = parts[0]
     for part in parts[1:]:
         if np.hypot(*(line[0] - part[0])) < 1e-6 or np.hypot(*(line[0] - part[-1])) < 1e-6:
@@ -243,7 +251,7 @@ def _chained(parts: list[FloatArray]) -> FloatArray:
 
 
 def _speed(text: str, faults: MapFaults) -> float | None:
-    """Return a limit in m/s; without a unit it is in km/h, as Lanelet2 has it. One not understood is counted."""
+    """Return a speed limit in m/s (km/h if it has no unit, as in Lanelet2); None if it is absent or not understood."""
     if not text:
         return None
     parts = SPEED.fullmatch(text.lower())
@@ -255,9 +263,10 @@ def _speed(text: str, faults: MapFaults) -> float | None:
 
 
 def _dashed(tags: Tags) -> bool | None:
-    """Return whether a line may be crossed; None where its type is not told. "solid_dashed" forbids one side alone.
+    """Return whether a line may be crossed, at least from one side; None if its type is unknown.
 
-    By Lanelet2's rules (``LinestringTagging.md``) "lane_change" goes before the type, and no other type may be crossed.
+    By Lanelet2's rules (``LinestringTagging.md``) "lane_change" overrides the type. Of the types, only lines that are
+    "dashed" ("solid_dashed" from one side) may be crossed.
     """
     stated = {STATED[tags[key]] for key in LANE_CHANGE if tags.get(key) in STATED}
     if stated:
@@ -268,35 +277,37 @@ def _dashed(tags: Tags) -> bool | None:
     return False if kind else None
 
 
-def _with_neighbours(rows: list[BoundedLane], driven: list[_Relation]) -> list[BoundedLane]:
-    """Name the lanelet whose right boundary is a lanelet's left one."""
-    sides = {row.id: (row.refs("left"), row.refs("right")) for row in driven}
+def _with_neighbours(rows: list[BoundedLane], lanelets_for_vehicles: list[_Relation]) -> list[BoundedLane]:
+    """Return *rows* with the left neighbour set: the lanelet whose right boundary is a lanelet's left boundary."""
+    sides = {row.id: (row.refs("left"), row.refs("right")) for row in lanelets_for_vehicles}
     right_of = {ref: row.token for row in rows for ref in sides[row.token][1]}
     left_of = [next((right_of[ref] for ref in sides[row.token][0] if ref in right_of), None) for row in rows]
-    return [replace(row, left_neighbour=other) for row, other in zip(rows, left_of, strict=True)]
+    return [replace(row, left_neighbour=left) for row, left in zip(rows, left_of, strict=True)]
 
 
 def _with_successors(rows: list[BoundedLane]) -> list[BoundedLane]:
-    """Name the lanelets that begin at both end nodes of a lanelet."""
+    """Return *rows* with the successors set: the lanelets that begin at both end points of a lanelet."""
     starts: dict[tuple[float, ...], list[str]] = defaultdict(list)
     for row in rows:
-        starts[_key(row.left_m[0], row.right_m[0])].append(row.token)
+        starts[_end_key(row.left_m[0], row.right_m[0])].append(row.token)
     return [
-        replace(row, successors=tuple(starts.get(_key(row.left_m[-1], row.right_m[-1]), ()))) for row in rows
+        replace(row, successors=tuple(starts.get(_end_key(row.left_m[-1], row.right_m[-1]), ())))
+        for row in rows
     ]
 
 
-def _key(left: FloatArray, right: FloatArray) -> tuple[float, ...]:
+def _end_key(left: FloatArray, right: FloatArray) -> tuple[float, ...]:
     return tuple(np.concatenate((left, right)).round(3).tolist())
 
 
 def _areas(lanelets: Iterable[_Relation], ways: _Ways, faults: MapFaults) -> dict[str, list[Polygon]]:
+    """Return the areas of lanelets for pedestrians, by kind."""
     areas: dict[str, list[Polygon]] = {"crossings": [], "walkways": []}
     for row in lanelets:
         kind = ON_FOOT.get(row.tags.get("subtype", ""))
         if kind is not None:
             try:
-                left, right = _bounds(row, ways)
+                left, right = _boundaries(row, ways)
             except ValueError as error:
                 faults.add("area malformed", f"lanelet {row.id!r} for people on foot is left out: {error}")
                 continue
@@ -310,7 +321,7 @@ def _areas(lanelets: Iterable[_Relation], ways: _Ways, faults: MapFaults) -> dic
 
 
 def _lines(row: _Relation, ways: _Ways) -> list[tuple[str, LineString]]:
-    """Return the stop lines (``ref_line``) of a rule that exist."""
+    """Return the existing stop lines (``ref_line``) of a regulatory element, with their names."""
     lines = []
     for ref in row.refs("ref_line"):
         try:
@@ -324,7 +335,7 @@ def _lines(row: _Relation, ways: _Ways) -> list[tuple[str, LineString]]:
 def _stop_lines(rules: Iterable[_Relation], ways: _Ways) -> list[StopLine]:
     kinds = {"all_way_stop": "STOP_SIGN", "right_of_way": "YIELD"}
     return [
-        StopLine(name, line.buffer(STOP_LINE_M, cap_style="flat"), kinds[row.tags["subtype"]])
+        StopLine(name, line.buffer(HALF_LINE_M, cap_style="flat"), kinds[row.tags["subtype"]])
         for row in rules
         if row.tags.get("subtype") in kinds
         for name, line in _lines(row, ways)

@@ -1,4 +1,4 @@
-"""The centre line of a lanelet, as Lanelet2 itself draws it (``Lanelet.cpp`` of lanelet2_core)."""
+"""Draw the centre line of a lanelet as Lanelet2 itself does (``Lanelet.cpp`` of lanelet2_core)."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from shapely.geometry import LineString
 
 from advdiff_sumo.core.arrays import FloatArray
 
-TOUCH_M = 1e-6  # how much of a line at a point of a boundary does not count as crossing it
+TOUCH_M = 1e-6  # length at the ends of a line that may touch a boundary without crossing it
 
 
 def lanelet_centre(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
-    """Return the line (K, 2) midway between two boundaries (N, 2), which run the same way.
+    """Return the line (K, 2) midway between two boundaries (N, 2) and (M, 2) of the same direction.
 
-    It is drawn like closing a zip. From the first points of both, the step is taken to the point on either side that
-    lies nearest to the present point of the other side, further on, without the step or the line between the two
-    points crossing a boundary. Each step adds the place midway between the two points.
+    The method starts with the first points of both boundaries. In each step it advances on one boundary: to the point
+    nearest to the current point of the other boundary. The new centre line and the line between the two points must
+    not cross a boundary. Each step adds the middle between the two current points to the centre line.
     """
     sides = (np.asarray(left_m, dtype=np.float64), np.asarray(right_m, dtype=np.float64))
-    lane = _Lane(*sides)
+    boundaries = _Boundaries(*sides)
     at = [0, 0]
-    if np.array_equal(sides[0][0], sides[1][0]) and len(sides[0]) > 1:  # it begins in a point
+    if np.array_equal(sides[0][0], sides[1][0]) and len(sides[0]) > 1:  # both begin at the same point
         at[0] = 1
     centre = [0.5 * (sides[0][0] + sides[1][0])]
     while True:
-        steps = [lane.nearest(side, at, centre[-1]) for side in (0, 1)]
+        steps = [boundaries.nearest(side, at, centre[-1]) for side in (0, 1)]
         options = [(step[0], side, step[1]) for side, step in enumerate(steps) if step is not None]
         if not options:
             break
@@ -37,8 +37,8 @@ def lanelet_centre(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
     return np.array(centre)
 
 
-class _Lane:
-    """Boundaries, and which steps between them do not cross them."""
+class _Boundaries:
+    """The boundaries of a lanelet, to find steps that do not cross them."""
 
     def __init__(self, left_m: FloatArray, right_m: FloatArray) -> None:
         self._sides = (left_m, right_m)
@@ -47,18 +47,28 @@ class _Lane:
         self._entry, self._exit = (right_m[0], left_m[0]), (left_m[-1], right_m[-1])
 
     def nearest(self, side: int, at: list[int], last_m: FloatArray) -> tuple[float, int] | None:
-        """Return distance and number of the point to go to on *side* (0: left), None where there is none."""
-        line, here = self._sides[side], self._sides[1 - side][at[1 - side]]
-        away = np.hypot(*(line[at[side] + 1 :] - here).T)
-        for number in np.argsort(away, kind="stable").tolist():
+        """Return the next point on *side* (0: left): its distance from the other side's point, and its number.
+
+        Args:
+            side: 0 for the left boundary, 1 for the right one.
+            at: current point numbers on both boundaries.
+            last_m: (2,) last point of the centre line.
+
+        Returns:
+            None if there is no point whose lines cross no boundary.
+        """
+        line, opposite = self._sides[side], self._sides[1 - side][at[1 - side]]
+        distance = np.hypot(*(line[at[side] + 1 :] - opposite).T)
+        for number in np.argsort(distance, kind="stable").tolist():
             point = line[at[side] + 1 + number]
-            middle = 0.5 * (point + here)
-            if self._inside(last_m, middle) and self._clear(last_m, middle) and self._clear(here, point):
-                return float(away[number]), at[side] + 1 + number
+            middle = 0.5 * (point + opposite)
+            centre_is_clear = self._stays_inside(last_m, middle) and self._is_clear(last_m, middle)
+            if centre_is_clear and self._is_clear(opposite, point):
+                return float(distance[number]), at[side] + 1 + number
         return None
 
-    def _clear(self, start_m: FloatArray, end_m: FloatArray) -> bool:
-        """Return whether the line between two places meets no boundary but at its own ends."""
+    def _is_clear(self, start_m: FloatArray, end_m: FloatArray) -> bool:
+        """Return whether the line between two points meets no boundary, except at its own ends."""
         step = end_m - start_m
         length = float(np.hypot(*step))
         if length <= 2.0 * TOUCH_M:
@@ -66,8 +76,8 @@ class _Lane:
         inset = TOUCH_M * step / length
         return not self._bounds.intersects(LineString((start_m + inset, end_m - inset)))
 
-    def _inside(self, start_m: FloatArray, end_m: FloatArray) -> bool:
-        """Return whether the line between two places does not leave the lane over its beginning or its end."""
+    def _stays_inside(self, start_m: FloatArray, end_m: FloatArray) -> bool:
+        """Return whether the line between two points does not leave the lane at its beginning or end."""
         line = LineString((start_m, end_m))
         return not any(
             _left_of(gate, end_m) > TOUCH_M and line.distance(LineString(gate)) < TOUCH_M
@@ -75,10 +85,10 @@ class _Lane:
         )
 
 
-def _left_of(gate: tuple[FloatArray, FloatArray], place_m: FloatArray) -> float:
-    """Return how far left of the line through *gate* a place lies, in m."""
+def _left_of(gate: tuple[FloatArray, FloatArray], point_m: FloatArray) -> float:
+    """Return the lateral offset in m of a point (2,) from the line through both points of *gate*, left positive."""
     (x0, y0), (x1, y1) = gate
     length = float(np.hypot(x1 - x0, y1 - y0))
     if length == 0.0:
         return 0.0
-    return float((x1 - x0) * (place_m[1] - y0) - (y1 - y0) * (place_m[0] - x0)) / length
+    return float((x1 - x0) * (point_m[1] - y0) - (y1 - y0) * (point_m[0] - x0)) / length

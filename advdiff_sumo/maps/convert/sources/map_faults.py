@@ -1,4 +1,4 @@
-"""What is wrong with a map: counted by kind, with a sentence for each fault of it, 20 of a kind at most."""
+"""Collect the faults of a map: a count of each kind, and a sentence for each fault (at most 20 of a kind)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class MapFaults:
         self._sentences.setdefault(kind, []).append(f"{self._file}: {sentence}")
 
     def sentences(self) -> tuple[str, ...]:
-        """Return the sentences of each kind, the first ones and how many more there are."""
-        sentences_told: list[str] = []
-        for kind, own in self._sentences.items():
-            sentences_told += own[:MOST_SENTENCES]
-            if len(own) > MOST_SENTENCES:
-                sentences_told.append(f"{self._file}: {kind}: {len(own) - MOST_SENTENCES} more")
-        return tuple(sentences_told)
+        """Return the first sentences of each kind, and for each kind how many more there are."""
+        shown: list[str] = []
+        for kind, of_kind in self._sentences.items():
+            shown += of_kind[:MOST_SENTENCES]
+            if len(of_kind) > MOST_SENTENCES:
+                shown.append(f"{self._file}: {kind}: {len(of_kind) - MOST_SENTENCES} more")
+        return tuple(shown)

@@ -1,4 +1,4 @@
-"""Records of a nuScenes map expansion by token, with what is unusable counted and told."""
+"""Tables of a nuScenes map expansion: records by token, with unusable records counted and reported."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Row = Mapping[str, Any]
 
 
 class MapTables:
-    """The layers of one file; what cannot be used is left out, counted in *notes* and told in *warnings*.
+    """The layers of one file; unusable items are left out, counted in *notes* and reported in *warnings*.
 
     Attributes:
         path: the file, for messages.
         data: its layers.
-        notes: how often each kind of fault occurred.
+        notes: number of faults of each kind.
         warnings: a sentence for the first fault of each kind.
         nodes: x and y in m by token.
         polygon_rows, line_rows: records by token.
@@ -37,13 +37,13 @@ class MapTables:
         self.line_rows = self.by_token("line")
 
     def warn(self, kind: str, sentence: str) -> None:
-        """Count *kind* and keep the first sentence of its sort."""
+        """Count a fault of *kind*, and keep *sentence* if it is the first of its kind."""
         if not self.notes[kind]:
             self.warnings.append(f"{self.path.name}: {sentence}")
         self.notes[kind] += 1
 
     def rows(self, layer: str) -> list[Row]:
-        """Return the records of *layer*; an absent layer is empty."""
+        """Return the records of *layer*; none if the layer is absent."""
         rows = self.data.get(layer) or []
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise MapError(
@@ -52,7 +52,7 @@ class MapTables:
         return rows
 
     def items(self, row: Row, key: str) -> list[Any]:
-        """Return the list *key* of a record; an absent one is empty."""
+        """Return the list *key* of a record; an empty list if it is absent."""
         value = row.get(key)
         if not isinstance(value, list | None):
             place = f"record {row.get('token')!r}" if "token" in row else "a record"
@@ -70,7 +70,7 @@ class MapTables:
         return items
 
     def by_token(self, layer: str) -> dict[str, Row]:
-        """Return the records of *layer* by token; of equal tokens the first."""
+        """Return the records of *layer* by token; of several with the same token, the first."""
         table: dict[str, Row] = {}
         for row in self.rows(layer):
             token = row.get("token")
@@ -98,7 +98,7 @@ class MapTables:
         return nodes
 
     def points(self, tokens: Iterable[Any], what: str) -> list[tuple[float, float]] | None:
-        """Return the points of nodes *tokens*, or None where one of them is unusable."""
+        """Return the points in m of nodes *tokens*; None if one is unusable. *what* names their user in the warning."""
         names = [str(token) for token in tokens]
         missing = next((name for name in names if name not in self.nodes), None)
         if missing is not None:
@@ -107,7 +107,7 @@ class MapTables:
         return [self.nodes[name] for name in names]
 
     def polygon(self, token: Any) -> Polygon | None:
-        """Return the polygon named *token*, mended where it crosses itself, or None."""
+        """Return the polygon named *token*, repaired if it crosses itself; None if it is unusable."""
         row = self.polygon_rows.get(str(token))
         if row is None:
             self.warn("unknown polygon", f"polygon {token!r} does not exist")
@@ -121,9 +121,9 @@ class MapTables:
             for hole in self.records(row, "holes")
         ]
         polygon = Polygon(outer, [ring for ring in rings if ring is not None and len(ring) >= 3])
-        return self._mended(polygon, token)
+        return self._repaired(polygon, token)
 
-    def _mended(self, polygon: Polygon, token: Any) -> Polygon | None:
+    def _repaired(self, polygon: Polygon, token: Any) -> Polygon | None:
         if polygon.is_valid:
             return polygon if polygon.area > 0 else None
         self.warn(

@@ -1,6 +1,6 @@
-"""nuPlan maps (Caesar et al. 2021, arXiv:2106.11810): ``map.gpkg``, a GeoPackage of one city.
+"""Read nuPlan maps (Caesar et al. 2021, arXiv:2106.11810): ``map.gpkg``, a GeoPackage of one city.
 
-Shapes are in degrees; places are in the projected system that the layer ``meta`` names, in m.
+Shapes in the file are in degrees. The source map is in the projected system that the layer ``meta`` names, in m.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ LAYERS = {
 def nuplan_map(path: Path) -> SourceMap:
     """Return the map in the GeoPackage *path*.
 
-    Baseline paths are the centre lines; a lane connector joins its exit lane to its entry lane.
+    Baseline paths are the centre lines. A lane connector joins its exit lane to its entry lane.
 
     Raises:
-        MapError: no such GeoPackage, a layer or column is missing, or no lane is usable.
+        MapError: the file is no GeoPackage, a layer or column is missing, or no lane is usable.
     """
     rows = read_layers(path, LAYERS, REMEDY)
     projection = _projection(rows["meta"], path)
@@ -52,7 +52,7 @@ def nuplan_map(path: Path) -> SourceMap:
         raise MapError(path, "holds no lane with a usable baseline path", REMEDY)
     known = {lane.token for lane in lanes}
     links = list(_links(rows["lane_connectors"]))
-    given = [token for token, *_ in _stated(rows)]
+    given = [token for token, *_ in _stated_lanes(rows)]
     return SourceMap(
         path=path,
         location=path.absolute().parent.parent.name or path.stem,
@@ -85,28 +85,28 @@ def _projection(meta: list[Row], path: Path) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Layers:
-    """Records by layer, and the way from their degrees to m."""
+    """Records by layer, and the transformation of their shapes from degrees to m."""
 
     rows: dict[str, list[Row]]
     from_degrees: pyproj.Transformer
 
     def shape(self, row: Row | None) -> BaseGeometry | None:
-        """Return the shape of a record in m, or None where it is unusable."""
+        """Return the shape of a record in m, or None if it is unusable."""
         return shape_of(row, self.from_degrees) if row is not None else None
 
     def by_name(self, layer: str, key: str) -> dict[str, Row]:
-        """Return the records of *layer* by what *key* names."""
+        """Return the records of *layer* by the id in column *key*."""
         named = ((name_of(row.get(key)), row) for row in self.rows.get(layer, []))
         return {name: row for name, row in named if name is not None}
 
     def areas(self, layer: str) -> tuple[Polygon, ...]:
-        """Return the areas of *layer*; a layer that is missing has none."""
+        """Return the areas of *layer*; none if the layer is missing."""
         shapes = [shape for row in self.rows.get(layer, []) if (shape := self.shape(row)) is not None]
         return tuple(part for shape in shapes for part in as_multi(shapely.make_valid(shape)).geoms)
 
 
-def _stated(rows: dict[str, list[Row]]) -> Iterator[tuple[str, str | None, Row]]:
-    """Yield token, name and record of each lane and connector."""
+def _stated_lanes(rows: dict[str, list[Row]]) -> Iterator[tuple[str, str | None, Row]]:
+    """Yield token, id and record of each lane and connector."""
     for row in rows["lanes_polygons"]:
         yield f"lane_{name_of(row['lane_fid'])}", name_of(row["lane_fid"]), row
     for row in rows["lane_connectors"]:
@@ -114,12 +114,12 @@ def _stated(rows: dict[str, list[Row]]) -> Iterator[tuple[str, str | None, Row]]
 
 
 def _lanes(layers: _Layers, faults: MapFaults) -> Iterator[SourceLane]:
-    """Yield the usable lanes; the others are left out, counted and told."""
+    """Yield the usable lanes; the others are left out and noted in *faults*."""
     keys = {"lane": "lane_fid", "connector": "lane_connector_fid"}
     paths = {kind: layers.by_name("baseline_paths", key) for kind, key in keys.items()}
     areas = layers.by_name(CONNECTOR_AREAS, keys["connector"])
     used: set[str] = set()
-    for token, name, row in _stated(layers.rows):
+    for token, name, row in _stated_lanes(layers.rows):
         kind = token.partition("_")[0]
         if name is None or token in used:
             faults.add(
@@ -143,6 +143,7 @@ def _lanes(layers: _Layers, faults: MapFaults) -> Iterator[SourceLane]:
 def _lane(
     token: str, line: BaseGeometry | None, area: BaseGeometry | None, speed: object
 ) -> SourceLane | None:
+    """Return a lane with centre line *line* and polygon *area*; None if the line is unusable."""
     if line is not None and line.geom_type == "MultiLineString":
         line = shapely.line_merge(line)
     if not isinstance(line, LineString) or line.length > LONGEST_M:
@@ -161,6 +162,7 @@ def _lane(
 
 
 def _links(connectors: list[Row]) -> Iterator[tuple[str, str]]:
+    """Yield the links from lanes to connectors and from connectors to lanes."""
     for row in connectors:
         name = f"connector_{name_of(row['fid'])}"
         yield f"lane_{name_of(row['exit_lane_fid'])}", name
@@ -170,11 +172,11 @@ def _links(connectors: list[Row]) -> Iterator[tuple[str, str]]:
 def _known_links(
     links: list[tuple[str, str]], given: set[str], known: set[str], faults: MapFaults
 ) -> Iterator[tuple[str, str]]:
-    """Yield the links between *known* lanes; those to lanes that the file does not hold are told."""
+    """Yield the links between *known* lanes; links to lanes that are not in the file are noted in *faults*."""
     for link in dict.fromkeys(links):
-        stranger = next((token for token in link if token not in given), None)
-        if stranger is not None:
-            other = next(token for token in link if token != stranger)
-            faults.add("link to unknown lane", f"{other} names {stranger}, which is not in the file")
+        missing = next((token for token in link if token not in given), None)
+        if missing is not None:
+            other = next(token for token in link if token != missing)
+            faults.add("link to unknown lane", f"{other} names {missing}, which is not in the file")
         elif set(link) <= known:
             yield link

@@ -1,4 +1,4 @@
-"""Stop lines and traffic lights of a nuScenes map expansion, with the carriageways that they belong to."""
+"""Read stop lines and traffic lights of a nuScenes map expansion, with the carriageways that they stop."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ def stop_lines_of(tables: MapTables) -> list[StopLine]:
 
 
 def signals_of(tables: MapTables) -> list[Signal]:
-    """Place each light by the stop line that lists it, else by its line (poses are zero in one city).
+    """Return the traffic lights.
 
-    Its carriageway is ``from_road_block_token``, else the ``road_block_token`` of that stop line.
+    The position of a light is the stop line that lists it, else its own line (poses are zero in one city). Its
+    carriageway is ``from_road_block_token``, else the ``road_block_token`` of that stop line.
     """
     blocks = tables.by_token("road_block")
     stop_of = {
@@ -48,19 +49,19 @@ def signals_of(tables: MapTables) -> list[Signal]:
         if block is None and stop is not None:
             block = _block(tables, blocks, stop.get("road_block_token"))
         signals.append(
-            Signal(str(row.get("token")), _place(tables, row, stop), block, lamps=_lamps(row.get("items")))
+            Signal(str(row.get("token")), _position(tables, row, stop), block, lamps=_lamps(row.get("items")))
         )
     return signals
 
 
 def _lamps(items: object) -> frozenset[Lamp]:
-    """Return the green lamps of a light: arrows by their shape, else circular; none where it lists no lamp."""
+    """Return the green lamps of a light: arrows by their shape, else circular; none if it lists no lamps."""
     rows = [row for row in items if isinstance(row, dict)] if isinstance(items, list) else []
     lamps = [(str(row.get("color", "")).upper(), _directions(str(row.get("shape", "")))) for row in rows]
-    red = frozenset[Direction]().union(*(arrow for colour, arrow in lamps if colour == "RED"))
+    red = frozenset[Direction]().union(*(directions for colour, directions in lamps if colour == "RED"))
     return frozenset(
-        Lamp(arrow, protected=True, exclusive=arrow <= red) if arrow else CIRCULAR
-        for colour, arrow in lamps
+        Lamp(directions, protected=True, exclusive=directions <= red) if directions else CIRCULAR
+        for colour, directions in lamps
         if colour == "GREEN"
     )
 
@@ -74,7 +75,8 @@ def _block(tables: MapTables, blocks: dict[str, Row], token: object) -> Polygon 
     return tables.polygon(row["polygon_token"]) if row is not None and row.get("polygon_token") else None
 
 
-def _place(tables: MapTables, row: Row, stop: Row | None) -> BaseGeometry | None:
+def _position(tables: MapTables, row: Row, stop: Row | None) -> BaseGeometry | None:
+    """Return the area of a light's stop line, else its own line or point; None if neither is usable."""
     if stop is not None and stop.get("polygon_token"):
         area = tables.polygon(stop["polygon_token"])
         if area is not None:

@@ -1,4 +1,4 @@
-"""Read the JSON of the nuScenes map expansion (v1.3)."""
+"""Read the JSON files of the nuScenes map expansion (v1.3)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from advdiff_sumo.maps.convert.sources.map_tables import MapTables, Row, finite
 from advdiff_sumo.maps.convert.sources.nuscenes_control import signals_of, stop_lines_of
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
 
-OLDEST = (1, 3)
+OLDEST = (1, 3)  # version
 LANE_LAYERS = ("lane", "lane_connector")
-SMALLEST_EXTENT_M, LONGEST_EXTENTS = 1000.0, 2.0  # no lane is longer than twice the diagonal of the map
+SMALLEST_EXTENT_M = 1000.0  # smaller diagonals of a map count as this long
+LONGEST_EXTENTS = 2.0  # longest possible lane, as a multiple of the diagonal of the map
 NEEDED = ("polygon", "node", "lane", "lane_connector", "arcline_path_3", "connectivity")
 USES = {"CAR": LaneUse.CAR, "BUS": LaneUse.BUS, "BIKE": LaneUse.BICYCLE, "BICYCLE": LaneUse.BICYCLE}
 
@@ -35,12 +36,13 @@ def nuscenes_map(data: object, path: Path) -> SourceMap:
     """Return the map in *data*, the JSON of *path*.
 
     Raises:
-        MapError: not such a file, an older expansion, a needed layer is absent, or nothing in it is usable.
+        MapError: the file is no map expansion or an older one, a needed layer is absent, or no lane is usable.
     """
     return _Reader(path, _checked_layers(path, data)).read()
 
 
 def _checked_layers(path: Path, data: object) -> dict[str, Any]:
+    """Return *data* if it is a map expansion with all needed layers; otherwise raise a MapError."""
     remedy = "download the map expansion v1.3 from nuscenes.org"
     if not isinstance(data, dict) or not ({"lane", "node", "polygon"} & set(data)):
         raise MapError(path, "is JSON of another format, not a nuScenes map expansion", remedy)
@@ -59,7 +61,7 @@ def _checked_layers(path: Path, data: object) -> dict[str, Any]:
 
 
 def _check_version(path: Path, version: object, remedy: str) -> None:
-    """Refuse an expansion older than v1.3; 1.10 is newer."""
+    """Raise a MapError if the expansion is older than v1.3 (v1.10 is newer)."""
     if version is None:
         raise MapError(path, "states no version ('version' is missing)", remedy)
     try:
@@ -71,7 +73,7 @@ def _check_version(path: Path, version: object, remedy: str) -> None:
 
 
 class _Reader(MapTables):
-    """Turns the tables into a SourceMap, counting what it leaves out."""
+    """Turns the tables into a SourceMap; unusable items are left out and counted."""
 
     def __init__(self, path: Path, data: dict[str, Any]) -> None:
         super().__init__(path, data)
@@ -95,7 +97,7 @@ class _Reader(MapTables):
             carparks=tuple(self._areas("carpark_area")),
             stop_lines=tuple(stop_lines_of(self)),
             signals=tuple(signals_of(self)),
-            dashed_dividers=tuple(self._dashed()),
+            dashed_dividers=tuple(self._dashed_lines()),
             stated=StatedSizes(sum(len(self.rows(layer)) for layer in LANE_LAYERS), stated_links),
             left_out=self._left_out(known),
             notes=self.notes,
@@ -107,7 +109,7 @@ class _Reader(MapTables):
         return tuple(dict.fromkeys(str(token) for token in tokens if str(token) not in known))
 
     def _longest_m(self) -> float:
-        """Return a length that no lane of the map can have: the extent of its nodes, at most that of the canvas."""
+        """Return the length in m that no lane exceeds, from the extent of the nodes and that of the canvas."""
         nodes = np.array(list(self.nodes.values())) if self.nodes else np.zeros((1, 2))
         extent = float(np.hypot(*np.ptp(nodes, axis=0)))
         canvas = self.data.get("canvas_edge")
@@ -155,7 +157,7 @@ class _Reader(MapTables):
         )
 
     def _links(self, known: set[str]) -> tuple[list[tuple[str, str]], int]:
-        """Return each usable pair of the connectivity once, whichever side states it, and how many are stated."""
+        """Return each usable link of the connectivity once (either lane may state it), and the number stated."""
         links: dict[tuple[str, str], None] = {}
         stated: set[tuple[str, str]] = set()
         for token, sides in self.data["connectivity"].items():
@@ -190,7 +192,7 @@ class _Reader(MapTables):
         parts = [part for part in map(self.polygon, tokens) if part is not None]
         return as_multi(shapely.union_all(parts)) if parts else MultiPolygon()
 
-    def _dashed(self) -> list[LineString]:
+    def _dashed_lines(self) -> list[LineString]:
         lines: list[LineString] = []
         for row in self.rows("lane_divider"):
             segments = self.records(row, "lane_divider_segments")
@@ -206,12 +208,12 @@ class _Reader(MapTables):
 
 
 def _dashed_nodes(rows: Sequence[Row]) -> frozenset[str]:
-    """Return the node names of the dashed part of a divider; the solid part may not be crossed."""
+    """Return the node names of the dashed part of a divider; the solid part must not be crossed."""
     return frozenset(str(row.get("node_token")) for row in rows if "DASHED" in str(row.get("segment_type")))
 
 
 def _is_solid(segments: Sequence[Row] | None) -> bool:
-    """Return whether a divider is named solid and nowhere dashed."""
+    """Return whether a divider is solid in some part and dashed in none."""
     kinds = [str(row.get("segment_type")) for row in segments or []]
     return any("SOLID" in kind for kind in kinds) and not any("DASHED" in kind for kind in kinds)
 

@@ -1,4 +1,4 @@
-"""Reference lines and polynomials of OpenDRIVE (ASAM OpenDRIVE 1.8.1, chapters 8 and 9)."""
+"""Evaluate reference lines and polynomials of OpenDRIVE (ASAM OpenDRIVE 1.8.1, chapters 8 and 9)."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import MOST_TURNS
 
-LONGEST_M = 200_000.0  # of a road
-LARGEST = 1e8  # no coordinate, length or coefficient is larger
-FINE_M = 0.05  # step at which a cubic's arc length is summed up
+LONGEST_M = 200_000.0  # longest road
+LARGEST = 1e8  # largest valid coordinate, length or coefficient
+FINE_M = 0.05  # step of the integration of a cubic's arc length
 COEFFICIENTS = ("a", "b", "c", "d")
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True)
 class Cubic:
-    """A cubic polynomial that holds from *start_m* on; its argument counts from there."""
+    """A cubic polynomial that is valid from arc length *start_m* on; its argument is the distance from there."""
 
     start_m: float
     coefficients: tuple[float, ...]
 
 
 def number(row: Element, name: str, default: float | None = None) -> float:
-    """Return an attribute.
+    """Return attribute *name* of *row* as a number.
 
     Raises:
-        ValueError: it is missing without a *default*, no number, or larger than any.
+        ValueError: it is missing and there is no *default*, or it is no number or too large.
     """
     text = row.get(name)
     if text is None and default is not None:
@@ -47,7 +47,7 @@ def number(row: Element, name: str, default: float | None = None) -> float:
 
 
 def cubics(rows: Sequence[Element], start: str = "sOffset", base_m: float = 0.0) -> list[Cubic]:
-    """Return the polynomials of *rows*, in order of where they begin: attribute *start* behind *base_m*."""
+    """Return the polynomials of *rows*, ordered by beginning: *base_m* plus attribute *start*."""
     parts = [
         Cubic(base_m + number(row, start), tuple(number(row, key, 0.0) for key in COEFFICIENTS))
         for row in rows
@@ -56,7 +56,7 @@ def cubics(rows: Sequence[Element], start: str = "sOffset", base_m: float = 0.0)
 
 
 def value_at(parts: Sequence[Cubic], s_m: FloatArray) -> FloatArray:
-    """Return the value (N,) of piecewise cubics; 0 before the first."""
+    """Return the values (N,) of piecewise cubics at arc lengths *s_m* (N,); 0 before the first cubic."""
     values = np.zeros(len(s_m))
     for part in parts:
         inside = s_m >= part.start_m - 1e-9
@@ -65,13 +65,13 @@ def value_at(parts: Sequence[Cubic], s_m: FloatArray) -> FloatArray:
 
 
 class ReferenceLine:
-    """The plan view of a road."""
+    """The reference line of a road in plan view."""
 
     def __init__(self, rows: Sequence[Element]) -> None:
         """Read the records ``geometry``.
 
         Raises:
-            ValueError: there are none, one is malformed or unknown, or the road is longer than any.
+            ValueError: there are none, one is malformed, or the road has no valid length.
         """
         if not rows:
             raise ValueError("it has no geometry")
@@ -82,7 +82,11 @@ class ReferenceLine:
             raise ValueError(f"it is {self.length_m:.0f} m long")
 
     def at(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places (N, 2) and headings (N,) in rad at ascending arc lengths (N,)."""
+        """Return points (N, 2) in m and headings (N,) in rad at ascending arc lengths (N,).
+
+        Raises:
+            ValueError: a geometry is malformed or of an unknown kind.
+        """
         xy, yaw = np.empty((len(s_m), 2)), np.empty(len(s_m))
         ends = [*self.starts_m[1:], math.inf]
         for row, start, end in zip(self.pieces, self.starts_m, ends, strict=True):
@@ -93,7 +97,7 @@ class ReferenceLine:
 
 
 def _piece(row: Element, ds_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return places and headings on one record of geometry, *ds_m* behind its beginning."""
+    """Return points (N, 2) and headings (N,) on one geometry record, at distances *ds_m* (N,) from its beginning."""
     hdg, length = number(row, "hdg"), number(row, "length")
     shape = next(iter(row), None)
     kind = "" if shape is None else shape.tag
@@ -109,14 +113,15 @@ def _piece(row: Element, ds_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _curvatures(shape: Element) -> tuple[float, float]:
+    """Return the curvatures in 1/m at beginning and end of a line, arc or spiral."""
     if shape.tag == "spiral":
         return number(shape, "curvStart"), number(shape, "curvEnd")
-    bend = number(shape, "curvature") if shape.tag == "arc" else 0.0
-    return bend, bend
+    curvature = number(shape, "curvature") if shape.tag == "arc" else 0.0
+    return curvature, curvature
 
 
 def _curve(first: float, last: float, length_m: float, ds_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return places and headings on a line, arc or clothoid; Gauss-Legendre quadrature from place to place."""
+    """Return points and headings on a line, arc or clothoid, by Gauss-Legendre quadrature from point to point."""
     if max(abs(first), abs(last)) * length_m > 2.0 * math.pi * MOST_TURNS:
         raise ValueError("a geometry turns round many times")
     growth = 0.5 * (last - first) / length_m if length_m else 0.0
@@ -132,7 +137,7 @@ def _curve(first: float, last: float, length_m: float, ds_m: FloatArray) -> tupl
 
 
 def _poly3(shape: Element, ds_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return places and headings on v(u), at arc lengths."""
+    """Return points and headings on the curve v(u) at arc lengths *ds_m*."""
     across = [number(shape, key) for key in COEFFICIENTS]
     slope = np.polynomial.polynomial.polyder(across)
     u = np.arange(0.0, float(ds_m[-1]) + 2.0 * FINE_M, FINE_M)
@@ -145,17 +150,17 @@ def _poly3(shape: Element, ds_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _param_poly3(shape: Element, ds_m: FloatArray, length_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return places and headings on (u(p), v(p)); p runs to 1, or to the length."""
+    """Return points and headings on the curve (u(p), v(p)); p runs from 0 to 1, or to the length."""
     p = ds_m if shape.get("pRange") == "arcLength" else ds_m / length_m
     along, across = ([number(shape, f"{key}{axis}") for key in COEFFICIENTS] for axis in "UV")
     evaluate, derive = np.polynomial.polynomial.polyval, np.polynomial.polynomial.polyder
-    places = np.asarray(np.stack((evaluate(p, along), evaluate(p, across)), axis=-1), dtype=np.float64)
+    points = np.asarray(np.stack((evaluate(p, along), evaluate(p, across)), axis=-1), dtype=np.float64)
     yaw = np.arctan2(evaluate(p, derive(across)), evaluate(p, derive(along)))
-    return places, np.asarray(yaw, dtype=np.float64)
+    return points, np.asarray(yaw, dtype=np.float64)
 
 
 def stations(line: ReferenceLine, from_m: float, to_m: float, step_m: float) -> FloatArray:
-    """Return ascending arc lengths at most *step_m* apart, beginnings of pieces among them."""
+    """Return ascending arc lengths from *from_m* to *to_m*, at most *step_m* apart, including beginnings of pieces."""
     marks = [from_m, *(s for s in line.starts_m if from_m < s < to_m), to_m]
     parts = [np.linspace(a, b, max(1, math.ceil((b - a) / step_m)) + 1)[:-1] for a, b in pairwise(marks)]
     return np.concatenate([*parts, [to_m]])

@@ -1,4 +1,4 @@
-"""Which lane of an OpenDRIVE map leads on to which: links of sections, roads and junctions (chapters 9 to 12)."""
+"""Find the successors of lanes in an OpenDRIVE map, by links of sections, roads and junctions (chapters 9 to 12)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from collections.abc import Iterator
 from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
-End: TypeAlias = int  # of a road: 0 where its reference line begins, -1 where it ends
-Mouth: TypeAlias = tuple[
-    Element, int, int, End
-]  # road, section, lane, and the end of it that touches another lane
+End: TypeAlias = int  # end of a road or section: 0 where the reference line begins, -1 where it ends
+LaneEnd: TypeAlias = tuple[Element, int, int, End]  # road, number of the section, lane id, and its end
 SIDES = ("left", "right")
 ENDS: dict[str, End] = {"predecessor": 0, "successor": -1}
 CONTACTS: dict[str, End] = {"start": 0, "end": -1}
@@ -21,15 +19,15 @@ def lane_successors(root: Element) -> dict[str, tuple[str, ...]]:
     """Return the lanes that follow each lane, named ROAD_SECTION_LANE, in driving direction."""
     roads = {road.get("id", ""): road for road in root.iterfind("road")}
     after: dict[str, dict[str, None]] = defaultdict(dict)
-    for one, other in (*_between_roads(roads), *_through_junctions(root, roads)):
-        origin, target = (one, other) if _leaves(one) else (other, one)
-        if _leaves(origin) and not _leaves(target):
+    for first, second in (*_between_roads(roads), *_through_junctions(root, roads)):
+        origin, target = (first, second) if _is_exit(first) else (second, first)
+        if _is_exit(origin) and not _is_exit(target):
             after[_token(origin)][_token(target)] = None
     return {token: tuple(following) for token, following in after.items()}
 
 
-def _between_roads(roads: dict[str, Element]) -> Iterator[tuple[Mouth, Mouth]]:
-    """Yield the pairs of lane ends that lanes' own links join, within a road and to the next one."""
+def _between_roads(roads: dict[str, Element]) -> Iterator[tuple[LaneEnd, LaneEnd]]:
+    """Yield the pairs of lane ends that lane links join, within a road and to the next road."""
     for road in roads.values():
         for side in SIDES:
             sections = sections_of(road, side)
@@ -38,18 +36,18 @@ def _between_roads(roads: dict[str, Element]) -> Iterator[tuple[Mouth, Mouth]]:
             ):
                 for key, end in ENDS.items():
                     target = _number(row.find(f"link/{key}"), "id")
-                    other = section + (1 if end else -1)
+                    next_section = section + (1 if end else -1)
                     if target is None:
                         continue
-                    here = (road, section, _number(row, "id") or 0, end)
-                    if 0 <= other < len(sections):
-                        yield here, (road, other, target, -1 - end)
-                    elif (beyond := _linked(road, key, roads)) is not None:
-                        yield here, _outermost(*beyond, target)
+                    lane_end = (road, section, _number(row, "id") or 0, end)
+                    if 0 <= next_section < len(sections):
+                        yield lane_end, (road, next_section, target, -1 - end)
+                    elif (linked := _linked_road(road, key, roads)) is not None:
+                        yield lane_end, _lane_end(*linked, target)
 
 
-def _linked(road: Element, key: str, roads: dict[str, Element]) -> tuple[Element, End] | None:
-    """Return the road that *road* leads to at an end, and at which end of that it arrives; None for junctions."""
+def _linked_road(road: Element, key: str, roads: dict[str, Element]) -> tuple[Element, End] | None:
+    """Return the road that *road* is linked to (*key*: predecessor or successor), and that road's end; else None."""
     row = road.find(f"link/{key}")
     if row is None or row.get("elementType") != "road" or row.get("elementId") not in roads:
         return None
@@ -57,7 +55,7 @@ def _linked(road: Element, key: str, roads: dict[str, Element]) -> tuple[Element
     return None if contact is None else (roads[row.get("elementId", "")], contact)
 
 
-def _through_junctions(root: Element, roads: dict[str, Element]) -> Iterator[tuple[Mouth, Mouth]]:
+def _through_junctions(root: Element, roads: dict[str, Element]) -> Iterator[tuple[LaneEnd, LaneEnd]]:
     """Yield the pairs of lane ends that the connections of junctions join."""
     for junction in root.iterfind("junction"):
         for row in junction.iterfind("connection"):
@@ -70,11 +68,18 @@ def _through_junctions(root: Element, roads: dict[str, Element]) -> Iterator[tup
             for link in row.iterfind("laneLink"):
                 origin, target = _number(link, "from"), _number(link, "to")
                 if end is not None and origin is not None and target is not None:
-                    yield _outermost(before, end, origin), _outermost(inner, contact, target)
+                    yield _lane_end(before, end, origin), _lane_end(inner, contact, target)
 
 
 def _end_at(road: Element, junction: str, inner: Element, contact: End) -> End | None:
-    """Return at which end *road* touches *junction*; where both do, the one by which road *inner* begins."""
+    """Return the end of *road* at *junction*; if both ends are there, the one to which road *inner* is linked.
+
+    Args:
+        road: road that leads into the junction.
+        junction: id of the junction.
+        inner: connecting road.
+        contact: end of *inner* at *road*.
+    """
     rows = {end: road.find(f"link/{key}") for key, end in ENDS.items()}
     ends = [
         end
@@ -89,36 +94,38 @@ def _end_at(road: Element, junction: str, inner: Element, contact: End) -> End |
 
 
 def sections_of(road: Element, side: str) -> list[Element]:
-    """Return the lane sections of *road* that hold for its *side*, "left" or "right", in their order.
+    """Return the lane sections of *road* that are valid for its *side* ("left" or "right"), in order.
 
-    One with ``singleSide`` holds for the sides that it has; on the other one the section before it goes on.
+    A section with ``singleSide`` is valid only for the side that it describes. On the other side the section before
+    it continues.
     """
-    rows = sorted(road.findall("lanes/laneSection"), key=_place)
+    rows = sorted(road.findall("lanes/laneSection"), key=_section_start)
     return [row for row in rows if row.get("singleSide") != "true" or row.find(side) is not None]
 
 
-def _place(row: Element) -> float:
+def _section_start(row: Element) -> float:
     try:
         return float(row.get("s", ""))
     except ValueError:
         return math.inf
 
 
-def _outermost(road: Element, end: End, lane: int) -> Mouth:
-    """Return the end of *lane* at an end of *road*."""
+def _lane_end(road: Element, end: End, lane: int) -> LaneEnd:
+    """Return the end of *lane* at the given *end* of *road*."""
     section = 0 if end == 0 else len(sections_of(road, SIDES[lane < 0])) - 1
     return road, section, lane, end
 
 
-def _leaves(mouth: Mouth) -> bool:
-    """Return whether traffic of the lane drives out at that end."""
-    road, _, lane, end = mouth
+def _is_exit(lane_end: LaneEnd) -> bool:
+    """Return whether traffic leaves the lane at that end."""
+    road, _, lane, end = lane_end
     along = (lane < 0) != (road.get("rule") == "LHT")
     return along == (end == -1)
 
 
-def _token(mouth: Mouth) -> str:
-    road, section, lane, _ = mouth
+def _token(lane_end: LaneEnd) -> str:
+    """Return the name of the lane, ROAD_SECTION_LANE."""
+    road, section, lane, _ = lane_end
     return f"{'_'.join((road.get('id') or '').split())}_{section}_{lane}"
 
 

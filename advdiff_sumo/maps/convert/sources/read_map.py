@@ -1,4 +1,4 @@
-"""Any map that can be converted, by what its file holds."""
+"""Read a map of any supported format; file name and content determine the format."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FORMATS = (
 
 
 def read_map(path: Path) -> SourceMap:
-    """Return the map in *path*, of whichever format.
+    """Return the map in *path*, of any supported format.
 
     Raises:
         MapError: the file cannot be read, is of no known format, or holds nothing usable.

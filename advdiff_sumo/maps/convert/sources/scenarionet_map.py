@@ -1,4 +1,4 @@
-"""The map of a ScenarioNet record (nuScenes, Waymo, …) as a source for the converter."""
+"""Read the map of a ScenarioNet record (nuScenes, Waymo, …)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LANE_TYPES = {
     "LANE_BIKE_LANE": LaneUse.BICYCLE,
     "LANE_BUS_LANE": LaneUse.BUS,
 }
-_NO_PLACE = ", moved"  # at the end of a location: no name of a place whose frame is known
+MOVED = ", moved"  # appended to a location whose frame is not that of the place
 CONNECTOR_TYPES = frozenset({"LANE_SURFACE_UNSTRUCTURE"})
 
 
@@ -39,16 +39,16 @@ def read_record_map(
     """Return the map of a ScenarioNet record that was loaded from *path*.
 
     Lanes of type LANE_SURFACE_UNSTRUCTURE are connectors (ScenarioNet writes those of nuScenes so). The drivable
-    area is what the lanes cover; links come from ``entry_lanes`` and ``exit_lanes``.
+    area is the area of the lanes. Links come from ``entry_lanes`` and ``exit_lanes``.
 
     Args:
-        record: the plain value.
-        path: of its file.
-        offset_m: to be added to its points to get those of the place's own frame; None where that is lost: then
-            the map stays where it is, at no place on the globe.
+        record: the loaded record.
+        path: its file.
+        offset_m: vector to add to its points to get coordinates in the frame of the place. None if it is unknown:
+            then the map is not moved and has no position on the globe.
 
     Raises:
-        MapError: no ScenarioNet record, or a map without usable lanes.
+        MapError: *record* is no ScenarioNet record, or its map has no usable lane.
     """
     features = record.get("map_features") if isinstance(record, Mapping) else None
     if not isinstance(record, Mapping) or not isinstance(features, Mapping):
@@ -58,7 +58,9 @@ def read_record_map(
     notes: Counter[str] = Counter()
     shift = np.array(offset_m or (0.0, 0.0))
     rows = {str(name): row for name, row in features.items() if _is_lane(row)}
-    lanes = [lane for name, row in rows.items() if (lane := _lane(name, row, shift, notes)) is not None]
+    lanes = [
+        lane for name, row in rows.items() if (lane := _source_lane(name, row, shift, notes)) is not None
+    ]
     if not lanes:
         raise MapError(path, "holds no lane with a centre line", "give a record with a map")
     known = {lane.token for lane in lanes}
@@ -66,7 +68,7 @@ def read_record_map(
     links, stated = _links(rows, known, notes)
     return SourceMap(
         path=path,
-        location=_location(record, path) + (_NO_PLACE if offset_m is None else ""),
+        location=_location(record, path) + (MOVED if offset_m is None else ""),
         lanes=tuple(lanes),
         links=tuple(links),
         drivable=as_multi(shapely.union_all(areas)),
@@ -88,7 +90,9 @@ def _location(record: Mapping[str, Any], path: Path) -> str:
     return str(place) if place else path.stem
 
 
-def _lane(name: str, row: Mapping[str, Any], shift: FloatArray, notes: Counter[str]) -> SourceLane | None:
+def _source_lane(
+    name: str, row: Mapping[str, Any], shift: FloatArray, notes: Counter[str]
+) -> SourceLane | None:
     centre = _points(row.get("polyline"), shift)
     if centre is None:
         notes["lane without usable centre line"] += 1
@@ -105,7 +109,7 @@ def _lane(name: str, row: Mapping[str, Any], shift: FloatArray, notes: Counter[s
 
 
 def _points(value: Any, shift: FloatArray) -> FloatArray | None:
-    """Return the (N, 2) points of a line, moved by *shift*; None where there are not two that are finite and apart."""
+    """Return the points (N, 2) of a line, moved by *shift*; None if one is not finite or the line has no length."""
     try:
         line = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -125,7 +129,7 @@ def _polygon(value: Any, shift: FloatArray) -> Polygon | None:
 
 
 def _speed(row: Mapping[str, Any]) -> float | None:
-    """Return the speed limit in m/s; a limit that is not positive means that there is none."""
+    """Return the speed limit in m/s; None if there is none or it is not positive."""
     for key, factor in (("speed_limit_kmh", KMH_MPS), ("speed_limit_mph", MPH_MPS)):
         value = row.get(key)
         if isinstance(value, int | float) and np.isfinite(value) and value > 0:
@@ -134,13 +138,13 @@ def _speed(row: Mapping[str, Any]) -> float | None:
 
 
 def _width(value: Any) -> float | None:
-    """Return the median of the stated widths (left and right of the centre line, where given apart) in m."""
+    """Return the median of the stated widths in m; widths left and right of the centre line are added."""
     if value is None:
         return None
     widths = np.asarray(value, dtype=np.float64)
     total = widths.sum(axis=1) if widths.ndim == 2 and widths.shape[1] == 2 else widths.ravel()
-    good = total[np.isfinite(total) & (total > 1.0) & (total < 12.0)]
-    return float(np.median(good)) if len(good) else None
+    plausible = total[np.isfinite(total) & (total > 1.0) & (total < 12.0)]
+    return float(np.median(plausible)) if len(plausible) else None
 
 
 def _area(lane: SourceLane) -> shapely.Geometry:
@@ -152,14 +156,14 @@ def _area(lane: SourceLane) -> shapely.Geometry:
 def _links(
     rows: Mapping[str, Mapping[str, Any]], known: set[str], notes: Counter[str]
 ) -> tuple[list[tuple[str, str]], int]:
-    """Return each usable link once, whichever side states it, and how many are stated between lanes of the record."""
+    """Return each usable link once (either lane may state it), and the number stated between lanes of the record."""
     stated: dict[tuple[str, str], None] = {}
     for name, row in rows.items():
         pairs = [(str(other), name) for other in row.get("entry_lanes") or []]
         pairs += [(name, str(other)) for other in row.get("exit_lanes") or []]
         stated.update(dict.fromkeys(pairs))
-        if strange := sum(not known.issuperset(pair) for pair in pairs):
-            notes["link to unknown lane"] += strange
+        if unknown := sum(not known.issuperset(pair) for pair in pairs):
+            notes["link to unknown lane"] += unknown
     inside = [pair for pair in stated if rows.keys() >= set(pair)]
     return [pair for pair in inside if known.issuperset(pair)], len(inside)
 

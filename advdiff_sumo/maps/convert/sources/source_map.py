@@ -1,4 +1,4 @@
-"""What a map says, whatever file it came from: the input of the converter."""
+"""Format-independent content of a map: the input of the converter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 
 
 class LaneUse(StrEnum):
-    """Who may drive on a lane."""
+    """Kind of vehicles for which a lane is."""
 
     CAR = "car"
     BUS = "bus"
@@ -29,9 +29,9 @@ class SourceLane:
         token: its name in the source, unique.
         is_connector: whether it lies in a junction (joins lanes) rather than on a road.
         centre_m: (N, 2) centre line in driving direction, N ≥ 2, points at least a millimetre apart.
-        polygon: its area, or None where the source has none.
-        use: who may drive on it.
-        speed_mps: speed limit, or None where the source has none.
+        polygon: its area, or None if the source has none.
+        use: kind of vehicles that may drive on it.
+        speed_mps: speed limit, or None if the source has none.
         width_m: width that the source states, or None (then it is measured on the polygon).
         left_dashed, right_dashed: node names of the dashed divider on that side.
         left_solid, right_solid: whether the divider on that side must not be crossed anywhere.
@@ -52,13 +52,13 @@ class SourceLane:
 
 @dataclass(frozen=True, eq=False)
 class StopLine:
-    """Where vehicles stop.
+    """A line at which vehicles stop.
 
     Attributes:
         token: its name in the source.
-        area: the painted line.
-        kind: as in the source (STOP_SIGN, TRAFFIC_LIGHT, TURN_STOP, PED_CROSSING, YIELD, …).
-        block: the carriageway that it ends, where the source names one.
+        area: area of the painted line.
+        kind: kind in the source (STOP_SIGN, TRAFFIC_LIGHT, TURN_STOP, PED_CROSSING, YIELD, …).
+        block: the carriageway at whose end it lies, if the source names one.
     """
 
     token: str
@@ -68,7 +68,7 @@ class StopLine:
 
 
 class Direction(StrEnum):
-    """Where a way through a junction leads."""
+    """Direction of a turn through a junction."""
 
     LEFT = "left"
     STRAIGHT = "straight"
@@ -77,13 +77,13 @@ class Direction(StrEnum):
 
 @dataclass(frozen=True)
 class Lamp:
-    """What a green lamp of a traffic light lets go.
+    """A green lamp of a traffic light.
 
     Attributes:
-        directions: those that it governs.
-        protected: whether nobody in their way has green with them, as under an arrow. Under a circular lamp those
-            that turn yield to oncoming traffic.
-        exclusive: whether a red arrow holds these directions while other lamps are green.
+        directions: directions of travel that it controls.
+        protected: whether no conflicting traffic has green at the same time, as under an arrow. Under a circular
+            lamp, turning vehicles yield to oncoming traffic.
+        exclusive: whether a red arrow stops these directions while other lamps are green.
     """
 
     directions: frozenset[Direction]
@@ -100,10 +100,10 @@ class Signal:
 
     Attributes:
         token: its name in the source.
-        at: the stop line that lists it, else its own line or place; None where neither is known.
-        block: the carriageway that it stops, where the source names one.
-        lanes: tokens of the lanes that it stops, where the source names them.
-        lamps: its green lamps, where the source tells them.
+        at: the stop line that lists it, else its own line or position; None if neither is known.
+        block: the carriageway that it stops, if the source names one.
+        lanes: tokens of the lanes that it stops, if the source names them.
+        lamps: its green lamps, if the source lists them.
     """
 
     token: str
@@ -115,7 +115,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class StatedSizes:
-    """How much the file states, whether usable or not: *lanes* counts lanes and connectors, *links* their links."""
+    """Numbers of lanes (with connectors) and links that the file states, whether usable or not."""
 
     lanes: int
     links: int
@@ -123,7 +123,7 @@ class StatedSizes:
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """A whole map in metres (x east, y north), as read; nothing is repaired yet.
+    """A whole map in m (x east, y north), as read from a file or after repair.
 
     Attributes:
         path: the file, for messages.
@@ -131,14 +131,13 @@ class SourceMap:
         lanes: lanes and connectors in the order of the file.
         links: ordered pairs (from token, to token) of the source's connectivity.
         intersections: areas that the source calls intersections.
-        dashed_dividers: lines that may be crossed to change lane.
-        stated: how much the file states; None: as much as is here.
-        left_out: tokens of lanes that the file states and that are not here.
-        notes: counts of what was mended or left out while reading.
+        dashed_dividers: dividers that may be crossed to change lane.
+        stated: numbers of lanes and links in the file; None: as many as here.
+        left_out: tokens of lanes of the file that are not among *lanes*.
+        notes: number of items of each kind that were repaired or left out.
         warnings: one sentence for each thing a user should know.
-        projection: PROJ string whose plane is the frame of the map, where that is known.
-        keeps_left: whether the map states that traffic keeps left, and its lanes are read so; of a map that is
-            converted, whether it does.
+        projection: PROJ string whose plane is the frame of the map, if known.
+        keeps_left: whether the map states that traffic keeps left; during conversion, whether traffic keeps left.
     """
 
     path: Path

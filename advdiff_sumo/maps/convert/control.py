@@ -23,17 +23,10 @@ MINOR = 1  # priority of an edge with one
 
 @dataclass(frozen=True)
 class Control:
-    """Signals and signs at the ends of edges.
+    """Edges that end at traffic lights, stop signs and yield signs; *idle* are names of lights that stop no edge.
 
-    Attributes:
-        lights: edges that end at a traffic light.
-        stops: edges that end at a stop sign.
-        yields: edges that end at a yield sign.
-        idle: tokens of the traffic lights that stop no edge.
-        lines: areas of the stop lines of each edge. Lines before a pedestrian crossing are among them; they set
-            where vehicles stop, but not who yields.
-        lamps: lamps of the lights of each edge, if the source lists them.
-        tokens: names of the lights of each edge.
+    *tokens* are the names of the lights of each edge, and *lamps* their lamps, if the source lists them. *lines* are
+    the areas of the stop lines of each edge. Lines before a pedestrian crossing set where to stop, but not who yields.
     """
 
     lights: frozenset[str]
@@ -63,13 +56,10 @@ def with_control(plan: NetPlan, source: SourceMap, guess_signals: bool) -> NetPl
     guessable = _crossing_junctions(plan) - roundabout_junctions if guess_signals else set()
     long_pairs = long_conflicts(plan)
     long_conflict_junctions = junctions_of(long_pairs, plan)
+    large = {name for name, edges in approaches.items() if _is_large(edges)}
+    guessed = guessable & (large | long_conflict_junctions)
     kinds = {
-        name: _kind([edge.id for edge in edges], control)
-        or (
-            "traffic_light"
-            if name in guessable and (_is_large(edges) or name in long_conflict_junctions)
-            else None
-        )
+        name: _kind([edge.id for edge in edges], control) or ("traffic_light" if name in guessed else None)
         for name, edges in approaches.items()
     }
     minor_edges = control.stops | control.yields
@@ -121,9 +111,8 @@ def _read_control(plan: NetPlan, source: SourceMap) -> Control:
 def _stopped_lanes(signal: Signal, source: SourceMap) -> tuple[list[int], list[int]]:
     """Return the numbers of the road lanes that *signal* names, and of the road lanes before the lanes that it names.
 
-    A light before a junction may name the connectors behind it, but does not stop vehicles at their ends. So the lanes
-    that lead into these connectors matter. If no road lane leads into a named lane, the second list holds the named
-    lanes themselves.
+    The latter matter because a light before a junction may name the connectors behind it, but does not stop vehicles at
+    their ends. If no road lane leads into a named lane, the second list holds the named lanes themselves.
     """
     number = {lane.token: index for index, lane in enumerate(source.lanes)}
     named = [number[token] for token in signal.lanes if token in number]
@@ -159,8 +148,4 @@ def _crossing_junctions(plan: NetPlan) -> set[str]:
     lines: dict[str, list[shapely.LineString]] = defaultdict(list)
     for connection in plan.connections:
         lines[target[connection.origin[0]]].append(shapely.LineString(connection.shape_m))
-    return {
-        name
-        for name, inner in lines.items()
-        if len(shapely.STRtree(inner).query(inner, predicate="crosses")[0])
-    }
+    return {n for n, own in lines.items() if len(shapely.STRtree(own).query(own, predicate="crosses")[0])}

@@ -15,14 +15,10 @@ from advdiff_sumo.maps.convert.netplan import NetPlan
 
 
 def blocked_entries(plan: NetPlan, names: Iterable[str]) -> list[str]:
-    """Return those of the edges *names* at whose beginning an entering car would stand on another lane.
+    """Return those of the edges *names*, which have no predecessor, where an entering car would block another lane.
 
     The body of an entering car still lies behind the beginning of the edge. There it may be less than 2.2 m away from
     other lanes or connections. Their junction has no connection for this car, so no vehicle yields to it.
-
-    Args:
-        plan: the planned net.
-        names: edges that no connection leads to.
     """
     edges = {edge.id: edge for edge in plan.edges}
     lanes = [({edge.id}, lane.shape_m) for edge in plan.edges for lane in edge.lanes]

@@ -80,8 +80,8 @@ def measure(result: ConversionResult) -> Fidelity:
 def _streets(streets: Streets, net: WrittenNet, length_m: Mapping[str, float]) -> dict[str, Any]:
     """Return how many OpenStreetMap streets join the map, and how well the map's edges are connected without them."""
     in_map = {
-        name: [n for n in after if n in length_m]
-        for name, after in net.next_edges.items()
+        name: [n for n in successors if n in length_m]
+        for name, successors in net.next_edges.items()
         if name in length_m
     }
     return {

@@ -73,13 +73,13 @@ def undrivable_routes(graph: RouteLanes) -> list[tuple[str, ...]]:
     while queue:
         state = queue.popleft()
         edge, lanes = state[0], graph.within_reach(*state)
-        for after, pairs in sorted(graph.links.get(edge, {}).items()):
+        for next_edge, pairs in sorted(graph.links.get(edge, {}).items()):
             entered = frozenset(b for a, b in pairs if a in lanes)
             if not entered:
-                stuck[(*_route_to(origin, state), after)] = None
-            elif (after, entered) not in origin:
-                origin[after, entered] = state
-                queue.append((after, entered))
+                stuck[(*_route_to(origin, state), next_edge)] = None
+            elif (next_edge, entered) not in origin:
+                origin[next_edge, entered] = state
+                queue.append((next_edge, entered))
     return list(stuck)
 
 

@@ -53,9 +53,9 @@ def run_netconvert(
         sumolib.checkBinary("netconvert"),
         *(f"--{name}={value}" for name, value in sorted(options.items())),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    if done.returncode != 0 or not out_net.exists():
+    result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    lines = [line.strip() for line in result.stderr.splitlines() if line.strip()]
+    if result.returncode != 0 or not out_net.exists():
         message = " ".join(lines[:3])
         if "Could not build output file" in message:
             raise NetError(out_net, f"cannot be written ({message})", "choose another --output")

@@ -85,15 +85,10 @@ def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]
 def nearest_offsets(
     lanes: Sequence[tuple[FloatArray, float]], poses: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return whether each pose is on a lane, and its lateral distance from the nearest lane of its direction.
+    """Return whether each pose (N, 3) is on a lane (N,), and its distance (N,) in m from the nearest centre line.
 
-    Args:
-        lanes: centre lines (N_i, 2) and widths in m.
-        poses: (N, 3) x, y in m and yaw in rad.
-
-    Returns:
-        Whether the pose lies within half the width of such a lane's centre line (N,), and the distance to the nearest
-        centre line in m (N,); NaN: there is none near.
+    *lanes* are centre lines and widths in m. Only lanes that run about in the direction of the pose count. A pose is on
+    a lane if its centre lies within half the lane's width of the centre line. NaN: no lane is near.
     """
     tree = shapely.STRtree([shapely.LineString(line) for line, _ in lanes])
     on_lane = np.zeros(len(poses), dtype=bool)

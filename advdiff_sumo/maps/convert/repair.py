@@ -27,10 +27,7 @@ def repair(source: SourceMap) -> SourceMap:
     """
     notes = Counter(source.notes)
     lanes, links, kept_for = _merge_duplicates(list(source.lanes), list(source.links), notes)
-    signals = (
-        replace(signal, lanes=tuple(kept_for.get(lane, lane) for lane in signal.lanes))
-        for signal in source.signals
-    )
+    signals = (replace(s, lanes=tuple(kept_for.get(lane, lane) for lane in s.lanes)) for s in source.signals)
     links = _add_links(lanes, links, notes)
     _count_gaps(lanes, links, notes)
     if not any(lane.is_connector for lane in lanes):
@@ -42,11 +39,7 @@ def repair(source: SourceMap) -> SourceMap:
 def _merge_duplicates(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> tuple[list[SourceLane], list[tuple[str, str]], dict[str, str]]:
-    """Merge lanes with the same centre line into the first of them, which gets the links of the others.
-
-    Returns:
-        The lanes, the links, and for each removed token the token of the lane that replaces it.
-    """
+    """Merge lanes with the same centre line into the first; return lanes, links, and its token by the removed ones."""
     lines = [shapely.LineString(lane.centre_m) for lane in lanes]
     starts = np.array([lane.centre_m[0] for lane in lanes])
     kept_for: dict[str, str] = {}
@@ -65,10 +58,7 @@ def _merge_duplicates(
 def _add_links(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> list[tuple[str, str]]:
-    """Link lane ends without a successor, and lane beginnings without a predecessor, to lanes that meet them there.
-
-    The lanes must have about the same heading and must not both be connectors.
-    """
+    """Add links between lanes (not both connectors) that meet with equal heading, if one of them has no link there."""
     starts = np.array([lane.centre_m[0] for lane in lanes])
     ends = np.array([lane.centre_m[-1] for lane in lanes])
     has_next, has_previous = {a for a, _ in links}, {b for _, b in links}
@@ -78,12 +68,9 @@ def _add_links(
         for after_number in sorted(near):
             before, after = lanes[before_number], lanes[after_number]
             is_open = before.token not in has_next or after.token not in has_previous
-            if (
-                before_number != after_number
-                and is_open
-                and not (before.is_connector and after.is_connector)
-                and _in_line(before.centre_m, after.centre_m)
-            ):
+            both_connectors = before.is_connector and after.is_connector
+            may_link = before_number != after_number and is_open and not both_connectors
+            if may_link and _in_line(before.centre_m, after.centre_m):
                 added.append((before.token, after.token))
     new = [link for link in dict.fromkeys(added) if link not in known]
     notes["links added by geometry"] += len(new)
@@ -108,11 +95,7 @@ def _count_gaps(lanes: list[SourceLane], links: list[tuple[str, str]], notes: Co
 def _mark_connectors(
     lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]
 ) -> list[SourceLane]:
-    """Mark the connectors of a source that marks none.
-
-    Connectors are short lanes with predecessor and successor, if one of these has further links on the same side (a
-    fork or a merge) or if another lane crosses the lane.
-    """
+    """Mark the connectors of a source that marks none: short linked lanes at a fork or merge, or crossed by others."""
     after, before = defaultdict(set), defaultdict(set)
     for a, b in links:
         after[a].add(b)

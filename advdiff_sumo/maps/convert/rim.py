@@ -60,7 +60,7 @@ def return_edges(
         following_beyond: the edges that follow each street beyond the rim, if there are streets.
     """
     following = _following(plan, following_beyond or {})
-    entered = {after for names in following.values() for after in names}
+    entered = {successor for names in following.values() for successor in names}
     edges = {edge.id: edge for edge in plan.edges}
     signalled = {junction.id for junction in plan.junctions if junction.kind == "traffic_light"}
     exits = [name for name, edge in edges.items() if not following[name] and edge.target not in signalled]
@@ -80,10 +80,10 @@ def return_edges(
 def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     """Return the edges that follow each edge of *plan* and each street *beyond* the rim."""
     following: dict[str, dict[str, None]] = {edge.id: {} for edge in plan.edges}
-    following |= {name: dict.fromkeys(after) for name, after in beyond.items()}
+    following |= {name: dict.fromkeys(successors) for name, successors in beyond.items()}
     for connection in plan.connections:
         following[connection.origin[0]][connection.target[0]] = None
-    return {name: list(after) for name, after in following.items()}
+    return {name: list(successors) for name, successors in following.items()}
 
 
 def _pair_nearest(
@@ -128,7 +128,7 @@ def _strongly_connected(
 ) -> list[tuple[str, str]]:
     """Exchange partners between pairs of different strongly connected parts of the net, until it has one part."""
     while True:
-        graph: dict[str, list[str]] = {name: list(after) for name, after in following.items()}
+        graph: dict[str, list[str]] = {name: list(successors) for name, successors in following.items()}
         for a, b in pairs:
             graph[a].append(b)
         part_of = {name: n for n, part in enumerate(strong_parts(graph)) for name in part}

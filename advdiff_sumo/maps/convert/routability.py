@@ -31,7 +31,7 @@ def routability(next_edges: Mapping[str, Sequence[str]], length_m: Mapping[str, 
     if not next_edges:
         return {"edges": 0}
     parts = strong_parts(next_edges)
-    entered = {after for names in next_edges.values() for after in names}
+    entered = {successors for names in next_edges.values() for successors in names}
     total = sum(length_m.get(name, 0.0) for name in next_edges)
     largest = sum(length_m.get(name, 0.0) for name in parts[0])
     return {
@@ -40,6 +40,6 @@ def routability(next_edges: Mapping[str, Sequence[str]], length_m: Mapping[str, 
         "largest_part_share_of_length": round(largest / total, 4) if total else None,
         "strongly_connected_parts": [part for part in parts if len(part) > 1],
         "edges_alone": sum(len(part) == 1 for part in parts),
-        "dead_ends": sorted(name for name, after in next_edges.items() if not after),
+        "dead_ends": sorted(name for name, successors in next_edges.items() if not successors),
         "sources": sorted(name for name in next_edges if name not in entered),
     }

@@ -37,10 +37,14 @@ def with_stop_offsets(edges: Iterable[EdgePlan], lines: dict[str, list[Polygon]]
 def _with_offset(lane: LanePlan, areas: Sequence[Polygon]) -> LanePlan:
     """Return *lane* with the distance from the upstream border of its first stop line to its end."""
     line = LineString(lane.shape_m)
-    hits = [line.intersection(area) for area in areas if line.intersects(area)]
-    if not hits:
+    crossings = [line.intersection(area) for area in areas if line.intersects(area)]
+    if not crossings:
         return lane
-    first = min(line.project(shapely.Point(point)) for hit in hits for point in shapely.get_coordinates(hit))
+    first = min(
+        line.project(shapely.Point(point))
+        for crossing in crossings
+        for point in shapely.get_coordinates(crossing)
+    )
     offset = float(line.length - first)
     if not LEAST_OFFSET_M <= offset <= MOST_SHARE * line.length:
         return lane

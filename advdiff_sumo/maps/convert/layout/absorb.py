@@ -12,14 +12,8 @@ from advdiff_sumo.maps.convert.layout.layout_state import Layout
 def absorb(layout: Layout, pieces: Sequence[Piece], longest_m: float, grouped: frozenset[Piece]) -> bool:
     """Turn *pieces* into parts of internal lanes and return True, or change nothing and return False.
 
-    Nothing is changed if a piece is longer than *longest_m*, shares an edge with others, or ends at the rim of the map,
-    or if there would be two connections between the same two lanes, of which SUMO holds only one.
-
-    Args:
-        layout: the layout to change.
-        pieces: edge lanes.
-        longest_m: largest length of a piece that may be absorbed.
-        grouped: pieces that must stay edge lanes, as they share an edge with others.
+    Nothing is changed if a piece is longer than *longest_m*, is *grouped* in an edge with others, or ends at the rim of
+    the map, or if there would be two connections between the same two lanes, of which SUMO holds only one.
     """
     if any(p.length_m > longest_m or p in grouped or _at_rim(layout, p) for p in pieces):
         return False

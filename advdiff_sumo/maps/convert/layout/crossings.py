@@ -24,14 +24,9 @@ def join_crossing_lanes(
 ) -> None:
     """Join the junctions of internal lanes that come close to each other.
 
-    No edge may begin and end in the joined junction. So short lanes between the two junctions are absorbed by it.
-    Longer lanes that are already grouped are divided. If neither is possible, the junctions stay separate and the
-    crossing is counted.
-
-    Args:
-        layout: the layout to change.
-        lines_m: centre line (N, 2) of each lane and connector.
-        keep: lanes that must not be absorbed.
+    No edge may begin and end in the joined junction. So short lanes between the two junctions, except those in *keep*,
+    are absorbed by it. Longer lanes that are already grouped are divided. If neither is possible, the junctions stay
+    separate and the crossing is counted. *lines_m* are the centre lines (N, 2) of all lanes and connectors.
     """
     for first_end, second_end in crossing_ends(layout, lines_m):
         first, second = layout.joints.find(first_end), layout.joints.find(second_end)

@@ -130,15 +130,15 @@ def _cut_carriageway(layout: Layout, lanes: Sequence[_CrossedLane]) -> None:
         layout.joints.join(sorted(junctions, key=repr))
 
 
-def _tight_ends(group: Sequence[Piece], hits: dict[Piece, _CrossedLane]) -> list[tuple[Piece, int]]:
+def _tight_ends(group: Sequence[Piece], by_piece: dict[Piece, _CrossedLane]) -> list[tuple[Piece, int]]:
     """Return the ends of *group* that are too close to the crossing for a car to wait between the two."""
-    rooms = [min(_room_m(hits[piece], piece, side) for piece in group) for side in (0, 1)]
+    rooms = [min(_room_m(by_piece[piece], piece, side) for piece in group) for side in (0, 1)]
     return [(group[0], side) for side in (0, 1) if rooms[side] < ROOM_M]
 
 
-def _room_m(hit: _CrossedLane, piece: Piece, side: int) -> float:
+def _room_m(crossed: _CrossedLane, piece: Piece, side: int) -> float:
     """Return the distance in m between the crossing and the beginning (side 0) or end (side 1) of *piece*."""
-    return piece.to_m - hit.to_m if side else hit.from_m - piece.from_m
+    return piece.to_m - crossed.to_m if side else crossed.from_m - piece.from_m
 
 
 def _side_at(layout: Layout, group: Sequence[Piece], junctions: set[Hashable]) -> int | None:
@@ -146,17 +146,17 @@ def _side_at(layout: Layout, group: Sequence[Piece], junctions: set[Hashable]) -
 
     None if neither or both do, or if a lane without a link ends there (the rim of the map).
     """
-    followed, entered = {a for a, _ in layout.links}, {b for _, b in layout.links}
+    has_next, has_previous = {a for a, _ in layout.links}, {b for _, b in layout.links}
     sides = [side for side in (0, 1) if layout.joints.find((group[0], side)) in junctions]
     if len(sides) != 1:
         return None
-    linked = followed if sides[0] else entered
+    linked = has_next if sides[0] else has_previous
     ends = {own[-sides[0]] for piece in group if (own := layout.pieces[piece.lane])}
     return sides[0] if all(piece not in ends or piece.lane in linked for piece in group) else None
 
 
 def _shorten(
-    layout: Layout, groups: Sequence[list[Piece]], sides: Sequence[int], hits: dict[Piece, _CrossedLane]
+    layout: Layout, groups: Sequence[list[Piece]], sides: Sequence[int], by_piece: dict[Piece, _CrossedLane]
 ) -> bool:
     """Shorten each edge to end (side 1) or begin (side 0) at the crossing, if all edges stay long enough.
 
@@ -165,9 +165,9 @@ def _shorten(
     """
     shorter = [
         [
-            piece._replace(to_m=min(piece.to_m, hits[piece].from_m))
+            piece._replace(to_m=min(piece.to_m, by_piece[piece].from_m))
             if side
-            else piece._replace(from_m=max(piece.from_m, hits[piece].to_m))
+            else piece._replace(from_m=max(piece.from_m, by_piece[piece].to_m))
             for piece in group
         ]
         for group, side in zip(groups, sides, strict=True)
@@ -183,12 +183,12 @@ def _shorten(
     return True
 
 
-def _divide(layout: Layout, groups: Sequence[list[Piece]], hits: dict[Piece, _CrossedLane]) -> None:
+def _divide(layout: Layout, groups: Sequence[list[Piece]], by_piece: dict[Piece, _CrossedLane]) -> None:
     """Divide the edges at the crossing; their new ends meet in one junction."""
     ends: list[Hashable] = []
     for group in groups:
-        first = [Piece(piece.lane, piece.from_m, hits[piece].from_m) for piece in group]
-        second = [Piece(piece.lane, hits[piece].to_m, piece.to_m) for piece in group]
+        first = [Piece(piece.lane, piece.from_m, by_piece[piece].from_m) for piece in group]
+        second = [Piece(piece.lane, by_piece[piece].to_m, piece.to_m) for piece in group]
         ends += layout.part(group, first, second)
         layout.counts["edges divided at crossings on foot"] += 1
     layout.joints.join(ends)

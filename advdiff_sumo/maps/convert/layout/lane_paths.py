@@ -63,8 +63,8 @@ def _connections_from(layout: Layout, following: dict[int, list[int]], piece: Pi
     lane_pieces = layout.pieces[piece.lane]
     index = lane_pieces.index(piece)
     if index + 1 < len(lane_pieces):
-        after = lane_pieces[index + 1]
-        return [LaneConnection(piece, after, (Piece(piece.lane, piece.to_m, after.from_m),))]
+        next_piece = lane_pieces[index + 1]
+        return [LaneConnection(piece, next_piece, (Piece(piece.lane, piece.to_m, next_piece.from_m),))]
     tail = _part(piece.lane, piece.to_m, layout.lengths_m[piece.lane])
     connections: list[LaneConnection] = []
     stack: list[tuple[int, tuple[Piece, ...], frozenset[int]]] = [
@@ -77,7 +77,7 @@ def _connections_from(layout: Layout, following: dict[int, list[int]], piece: Pi
             connections.append(LaneConnection(piece, first, parts + _part(lane, 0.0, first.from_m)))
         elif lane not in visited:
             through = parts + _part(lane, 0.0, layout.lengths_m[lane])
-            stack += [(after, through, visited | {lane}) for after in reversed(following[lane])]
+            stack += [(next_lane, through, visited | {lane}) for next_lane in reversed(following[lane])]
     return connections
 
 

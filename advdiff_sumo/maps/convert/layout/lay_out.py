@@ -89,14 +89,14 @@ def _make_room_for_direct_links(layout: Layout, is_connector: Sequence[bool]) ->
 def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
     """Shorten the lanes of each edge to begin and end side by side; what is cut off belongs to the junctions."""
     pair_of = {(pair.right, pair.left): pair for pair in pairs}
-    followed, entered = {a for a, _ in layout.links}, {b for _, b in layout.links}
+    has_next, has_previous = {a for a, _ in layout.links}, {b for _, b in layout.links}
     for number, group in enumerate(layout.groups):
         starts, ends = _offsets(group, pair_of, 0), _offsets(group, pair_of, 1)
         shorter = []
         for piece, start, end in zip(group, starts, ends, strict=True):
             new = _shortened(piece, max(starts) - start, end - min(ends))
-            new = _keep_open_end(layout, piece, new, 0) if piece.lane not in entered else new
-            new = _keep_open_end(layout, piece, new, 1) if piece.lane not in followed else new
+            new = _keep_open_end(layout, piece, new, 0) if piece.lane not in has_previous else new
+            new = _keep_open_end(layout, piece, new, 1) if piece.lane not in has_next else new
             layout.counts["lane ends shortened to even an edge"] += (new.from_m > piece.from_m) + (
                 new.to_m < piece.to_m
             )
@@ -107,18 +107,16 @@ def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
 
 
 def _keep_open_end(layout: Layout, piece: Piece, new: Piece, side: int) -> Piece:
-    """Keep what shortening would cut off at the rim of the map, where it would belong to no connection.
+    """Keep what shortening would cut off at the rim of the map; return the piece that replaces *piece*.
 
-    If the part that is cut off is long enough, it becomes a piece of its own. Otherwise the end is not shortened.
+    A part that is cut off there belongs to no connection. If it is long enough, it becomes a piece of its own, which is
+    added to *layout*. Otherwise the end is not shortened.
 
     Args:
-        layout: the layout to change; a piece of its own is added to it.
+        layout: the layout to change.
         piece: the piece before shortening.
         new: the piece after shortening.
         side: the open end, 0 for the beginning of the lane and 1 for its end.
-
-    Returns:
-        The piece that replaces *piece*.
     """
     lane_pieces = layout.pieces[piece.lane]
     cut_off = new.from_m - piece.from_m if side == 0 else piece.to_m - new.to_m

@@ -41,7 +41,7 @@ class SideBySide:
         return float(self.left_m[-1] - self.left_m[0])
 
     def across(self, lane: int, s_m: float) -> float:
-        """Return the arc length on the other lane beside *s_m* on *lane*; beyond the overlap, differences are equal."""
+        """Return the arc length on the other lane beside *s_m* on *lane*; beyond the overlap, both advance equally."""
         lane_m, other_m = (self.left_m, self.right_m) if lane == self.left else (self.right_m, self.left_m)
         beyond = min(s_m - lane_m[0], 0.0) + max(s_m - lane_m[-1], 0.0)
         return float(np.interp(s_m, lane_m, other_m)) + float(beyond)
@@ -130,8 +130,9 @@ def _pairs(
         s_left, s_right = _monotone(samples.s[left[start:stop]], samples.s[right[start:stop]])
         pair = SideBySide(lane_left, lane_right, s_left, s_right)
         shorter = min(line_length_m(lines[lane_left]), line_length_m(lines[lane_right]))
-        least = KNOWN_OVERLAP_M if (lane_left, lane_right) in known else min(MIN_OVERLAP_M, 0.5 * shorter)
-        if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= least:
+        is_known = (lane_left, lane_right) in known
+        min_overlap_m = KNOWN_OVERLAP_M if is_known else min(MIN_OVERLAP_M, 0.5 * shorter)
+        if len(s_left) > 1 and _is_dense(s_right) and pair.overlap_m >= min_overlap_m:
             pairs.append(pair)
     return pairs
 
@@ -153,5 +154,5 @@ def _monotone(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _is_dense(s: FloatArray) -> bool:
-    """Return whether samples at arc lengths *s* have no large gap on the whole."""
+    """Return whether there are samples *s* (N,) at 60 % or more of the stations between the first and the last."""
     return bool(len(s) >= 0.6 * (s[-1] - s[0]) / STEP_M)

@@ -78,11 +78,7 @@ def _loop_pieces(layout: Layout, joints: Joints) -> list[Piece]:
 
 
 def _promote(layout: Layout, lanes: Iterable[int], clear: Mapping[int, Piece]) -> Piece | None:
-    """Turn the clear stretch of one connector among *lanes* into an edge: that with the longest clear stretch.
-
-    Returns:
-        The new edge lane; None if no connector is suitable.
-    """
+    """Turn the longest clear stretch of a connector among *lanes* into an edge lane; return it (None if none fits)."""
     candidates = [
         lane
         for lane in lanes
@@ -98,10 +94,7 @@ def _promote(layout: Layout, lanes: Iterable[int], clear: Mapping[int, Piece]) -
 def _bypass(layout: Layout, piece: Piece, extra_pairs: EndPairs) -> list[int]:
     """Return the lanes without pieces on the shortest chain of joined lane ends from one end of *piece* to the other.
 
-    Args:
-        layout: links and pieces.
-        piece: a piece that begins and ends in one junction.
-        extra_pairs: lane ends that are joined in addition to those of *layout*.
+    *extra_pairs* of lane ends are joined in addition to those of *layout*.
     """
     joined: dict[Hashable, list[Hashable]] = defaultdict(list)
     for a, b in (*linked_ends(layout), *extra_pairs):

@@ -116,12 +116,8 @@ def _choose_joints(
 ) -> tuple[list[Joint], StretchGraph]:
     """Return the joints whose streets lie on a route from the map back to the map, and the graph of these streets.
 
-    Joints without such a route are removed repeatedly, until all have one.
-
-    Args:
-        plan: the planned net of the HD map.
-        fits: the stretches that fit each end of the map, best first.
-        graph: all stretches.
+    Joints without such a route are removed repeatedly, until all have one. *fits* are the stretches that fit each end
+    of the map, best first; *graph* holds all stretches.
     """
     entered, left = (
         {stretch.id for rim, fitting in fits.items() if rim.is_exit is is_exit for stretch in fitting}

@@ -144,9 +144,9 @@ def _run_netconvert(path: Path, projection: str, folder: Path, lefthand: bool) -
         *(*OPTIONS, "--proj", projection, "--lefthand", str(lefthand).lower()),
         *("--plain-output-prefix", str(prefix), "--output-file", str(folder / "streets.net.xml")),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    if done.returncode != 0 or not prefix.with_name("streets.edg.xml").exists():
-        errors = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    if result.returncode != 0 or not prefix.with_name("streets.edg.xml").exists():
+        errors = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
         reason = errors[0].removeprefix("Error: ").rstrip(".") if errors else "netconvert failed"
         empty = reason in ("No edges loaded", "No nodes loaded")
         raise MapError(path, NO_STREET if empty else f"cannot be imported: {reason}", REMEDY)

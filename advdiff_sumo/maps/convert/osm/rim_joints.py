@@ -61,10 +61,10 @@ def build_joints(
     rims_of: dict[tuple[str, bool], list[RimEnd]] = defaultdict(list)
     stretch_of: dict[str, StreetStretch] = {}
     for rim, stretches in fits.items():
-        best = next((stretch for stretch in stretches if stretch.id in allowed), None)
-        if best is not None:
-            rims_of[best.id, rim.is_exit].append(rim)
-            stretch_of[best.id] = best
+        best_fit = next((stretch for stretch in stretches if stretch.id in allowed), None)
+        if best_fit is not None:
+            rims_of[best_fit.id, rim.is_exit].append(rim)
+            stretch_of[best_fit.id] = best_fit
     lines = _MapLines(plan)
     joined_at_both_ends = {name for name, is_exit in rims_of if (name, not is_exit) in rims_of}
     joints = (
@@ -127,8 +127,7 @@ def _build_joint(
 def _bend_length_m(rim: RimEnd, line_m: FloatArray) -> float:
     """Return the length in m of a street's end that a curve of radius :data:`RADIUS_M` from *rim* has to replace.
 
-    A cubic from one straight line to a parallel one at distance *y*, over the length *x*, has radius x² / 6 y at its
-    ends.
+    A cubic between parallel straight lines at distance *y*, over the length *x*, has radius x² / 6 y at its ends.
     """
     ahead, aside = rim_offsets_m(rim, line_m[0])
     return max(SHORTEST_M, math.sqrt(6.0 * RADIUS_M * float(aside))) - float(ahead)

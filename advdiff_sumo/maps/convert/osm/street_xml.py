@@ -34,13 +34,9 @@ def street_rows(
     graph: StretchGraph,
     joints: Mapping[tuple[str, bool], str],
 ) -> StreetRows:
-    """Return the rows of streets.
+    """Return the rows of *stretches* of *net* and of the connections between them in *graph*.
 
-    Args:
-        net: the streets of the extract.
-        stretches: the parts of streets to write.
-        graph: connections between them.
-        joints: names of the junctions that join a stretch to the map, by stretch id and whether at its beginning.
+    *joints* are the junctions that join a stretch to the map, by stretch id and whether at its beginning.
     """
     ends = {
         stretch.id: (

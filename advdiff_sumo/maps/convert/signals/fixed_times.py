@@ -88,10 +88,10 @@ def _run_tool(net: Path, tool: str, options: dict[str, object]) -> None:
     """Run a Python tool of SUMO; raise a NetError about *net* if it fails."""
     words = [str(word) for option in options.items() for word in option]
     command = [sys.executable, str(sumo_home() / "tools" / tool), *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    if done.returncode != 0:
+    result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    if result.returncode != 0:
         reason = next(
-            (line for line in reversed(done.stderr.splitlines()) if line.strip()), "no reason given"
+            (line for line in reversed(result.stderr.splitlines()) if line.strip()), "no reason given"
         )
         raise NetError(net, f"SUMO's {tool} failed ({reason.strip()})", "leave out --tls-cycle")
 

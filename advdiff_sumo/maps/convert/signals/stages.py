@@ -71,8 +71,8 @@ def stages(
     for number, road in enumerate(_roads(links, lights, long_conflicts)):
         edges = {link.origin[0] for link in road}
         known_lamps = frozenset[Lamp]().union(*(lamps.get(edge, ()) for edge in edges))
-        own = _groups(road, known_lamps or _guessed(road, lefthand), number)
-        groups += _with_followers(own) if edges & lights.keys() else own
+        road_groups = _groups(road, known_lamps or _guessed(road, lefthand), number)
+        groups += _with_followers(road_groups) if edges & lights.keys() else road_groups
     groups.sort(key=lambda group: group.protected)  # stable; circular lamps first
     return _ordered(_without_redundant(_combine_groups(groups, long_conflicts), links))
 

@@ -47,15 +47,10 @@ class _Boundaries:
         self._entry, self._exit = (right_m[0], left_m[0]), (left_m[-1], right_m[-1])
 
     def nearest(self, side: int, at: list[int], last_m: FloatArray) -> tuple[float, int] | None:
-        """Return the next point on *side* (0: left): its distance from the other side's point, and its number.
+        """Return distance and number of the point to advance to on *side* (0: left), or None if there is none.
 
-        Args:
-            side: 0 for the left boundary, 1 for the right one.
-            at: current point numbers on both boundaries.
-            last_m: (2,) last point of the centre line.
-
-        Returns:
-            None if there is no point whose lines cross no boundary.
+        The distance is measured from the current point of the other side. *at* are the numbers of the current points,
+        *last_m* (2,) is the last point of the centre line.
         """
         line, opposite = self._sides[side], self._sides[1 - side][at[1 - side]]
         distance = np.hypot(*(line[at[side] + 1 :] - opposite).T)

@@ -18,12 +18,12 @@ CONTACTS: dict[str, End] = {"start": 0, "end": -1}
 def lane_successors(root: Element) -> dict[str, tuple[str, ...]]:
     """Return the lanes that follow each lane, named ROAD_SECTION_LANE, in driving direction."""
     roads = {road.get("id", ""): road for road in root.iterfind("road")}
-    after: dict[str, dict[str, None]] = defaultdict(dict)
+    successors: dict[str, dict[str, None]] = defaultdict(dict)
     for first, second in (*_between_roads(roads), *_through_junctions(root, roads)):
         origin, target = (first, second) if _is_exit(first) else (second, first)
         if _is_exit(origin) and not _is_exit(target):
-            after[_token(origin)][_token(target)] = None
-    return {token: tuple(following) for token, following in after.items()}
+            successors[_token(origin)][_token(target)] = None
+    return {token: tuple(following) for token, following in successors.items()}
 
 
 def _between_roads(roads: dict[str, Element]) -> Iterator[tuple[LaneEnd, LaneEnd]]:

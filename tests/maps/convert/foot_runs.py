@@ -1,4 +1,4 @@
-"""A car and somebody on foot who meet at a crossing, in SUMO."""
+"""Simulate a car and a pedestrian who meet at a crossing, in SUMO."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import sumolib
 def drive(
     net: Path, tokens: Sequence[str], walker_at_s: float | None, seconds: float
 ) -> list[dict[str, Any]]:
-    """Return each tenth of a second of a car and, from *walker_at_s* on, somebody who crosses its way northwards.
+    """Return each step (0.1 s) of a car and of a pedestrian who crosses its path northwards from *walker_at_s* on.
 
     The car drives on the edges of the lanes *tokens*, one after the other.
     """

@@ -1,4 +1,4 @@
-"""Files that no source of maps can use, by what is wrong with them."""
+"""Map files that no reader can use, by their fault."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ XML = ("commonroad", "lanelet2", "opendrive")
 
 @dataclass(frozen=True)
 class Malformed:
-    """A file of some *kind* of map, and who writes it."""
+    """A file of one *kind* of map, and the function that writes it."""
 
     kind: str
     fault: str
@@ -46,7 +46,7 @@ class Malformed:
 
 
 def malformed(folder: Path) -> Iterator[Malformed]:
-    """Yield the files of every kind; whole ones, of which some are parts, are made in *folder*."""
+    """Yield the files of every kind; complete files, of which some are fragments, are made in *folder*."""
     for kind in NAMES:
         for fault, content in (*_of_other_formats(kind), *_texts(kind, folder)):
             yield Malformed(kind, fault, lambda path, content=content: path.write_bytes(content))
@@ -141,7 +141,7 @@ _REPLACED = {
 
 
 class _Command:
-    """What pickles must not bring: something that is called."""
+    """An object that a pickle must not contain: loading it calls a function."""
 
     def __reduce__(self) -> tuple[object, tuple[str]]:
         return os.system, ("true",)

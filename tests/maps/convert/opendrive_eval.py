@@ -1,4 +1,4 @@
-"""OpenDRIVE evaluated from the text of its standard alone, to check what the converter writes."""
+"""Evaluate OpenDRIVE files, written from the standard alone, to check what the converter writes."""
 
 from __future__ import annotations
 

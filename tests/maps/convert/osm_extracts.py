@@ -1,4 +1,4 @@
-"""OpenStreetMap extracts around maps: streets drawn in the map's metres, or those that a SUMO net was made of."""
+"""Make OpenStreetMap extracts around maps: of streets given in the map's frame, or of the streets of a SUMO net."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Point = tuple[float, float]
 
 
 class OsmExtract:
-    """Ways through nodes, places in degrees; equal places are one node."""
+    """OpenStreetMap ways through nodes in degrees; equal positions are one node."""
 
     def __init__(self, projection: str | None = None) -> None:
         self._plane = pyproj.Proj(projection or projection_of("boston-seaport"))
@@ -25,11 +25,11 @@ class OsmExtract:
         self._ways: list[tuple[list[int], dict[str, str]]] = []
 
     def way(self, *points_m: Point, **tags: str) -> None:
-        """Add a way through places in metres."""
+        """Add a way through points in m."""
         self.way_deg([self._plane(x, y, inverse=True) for x, y in points_m], **tags)
 
     def way_deg(self, places_deg: Sequence[Point], **tags: str) -> None:
-        """Add a way through places (longitude, latitude)."""
+        """Add a way through points (longitude, latitude)."""
         names = [
             self._nodes.setdefault((round(x, 8), round(y, 8)), len(self._nodes) + 1) for x, y in places_deg
         ]
@@ -58,7 +58,7 @@ def _tags(tags: dict[str, str]) -> str:
 
 
 def extract_of_net(net_file: Path) -> OsmExtract:
-    """Return the streets for cars of a net that somebody made of OpenStreetMap, as an extract."""
+    """Return the streets for cars of a net that was made from OpenStreetMap, as an extract."""
     net = sumolib.net.readNet(str(net_file))
     extract = OsmExtract()
     for edge in net.getEdges():

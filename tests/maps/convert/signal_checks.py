@@ -1,4 +1,4 @@
-"""What any program of a written net must keep, read from its XML alone."""
+"""Check the requirements on every signal program of a written net, from its XML alone."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LEAST_SIGNALS = {
     "commonroad/DEU_Moabit-4_1_T-1.xml.gz": 0,
     "commonroad/HRV_Pula-27_3_T-1.xml.gz": 0,
 }
-"""Real maps, and how many signals are guessed there at least, with crossings for people on foot and without."""
+"""Real maps, and the smallest number of guessed signals, with and without pedestrian crossings."""
 
 
 @dataclass(frozen=True)
 class WrittenSignal:
-    """A signal: its phases as (seconds, state), and for each link its foes and those it yields to."""
+    """A signal: its phases as (seconds, state), and for each link its foes and the links to which it yields."""
 
     name: str
     phases: list[tuple[float, str]]
@@ -64,7 +64,7 @@ def _set_bits(row: Any, lanes: list[str], key: str, index_of: dict[str, int]) ->
 
 
 def check_signals(net: Path) -> int:
-    """Hold all programs of *net* to what keeps a crossing safe; return how many there are."""
+    """Check all programs of *net* for safe phases; return the number of programs."""
     signals = written_signals(net)
     for signal in signals:
         check_greens(signal)
@@ -73,7 +73,7 @@ def check_signals(net: Path) -> int:
 
 
 def check_greens(signal: WrittenSignal) -> None:
-    """No two foes have ``G`` together; of two with green the one with ``g`` yields; each link is served."""
+    """No two foes have ``G`` together; of two foes with green, the one with ``g`` yields; each link gets green."""
     for _, state in signal.phases:
         green = {index for index in signal.foes if state[index] in "Gg"}
         for index in green:
@@ -85,7 +85,7 @@ def check_greens(signal: WrittenSignal) -> None:
 
 
 def check_changes(signal: WrittenSignal) -> None:
-    """Vehicles get 3 to 6 s of yellow after each green, and nothing but red after yellow."""
+    """Vehicles get 3 to 6 s of yellow after each green, and only red after yellow."""
     follows = [*signal.phases[1:], signal.phases[0]]
     for index in set(signal.foes) - signal.on_foot:
         for (seconds, now), (_, later) in zip(signal.phases, follows, strict=True):

@@ -79,7 +79,7 @@ class MapBuilder:
         return self.lane(token, start, "LSR", [0.0, length, 0.0], connector=connector)
 
     def link(self, *tokens: str) -> None:
-        """State that each of *tokens* is followed by the next."""
+        """Link each of *tokens* to the next one."""
         for a, b in itertools.pairwise(tokens):
             self.data["connectivity"][a]["outgoing"].append(b)
             self.data["connectivity"][b]["incoming"].append(a)
@@ -119,7 +119,7 @@ def step(pose: Pose, letter: str, length: float, radius: float) -> Pose:
 
 
 def two_lane_road(lead_m: float = 0.0, second_m: float = 80.0) -> MapBuilder:
-    """Return a road eastwards: lane "a" north of lane "b", each led on by a connector to "c" and "d".
+    """Return a road eastwards: lane "a" north of lane "b", with connectors to "c" and "d".
 
     Lane "b" begins *lead_m* after "a", which is *second_m* long.
     """

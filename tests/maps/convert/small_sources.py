@@ -1,4 +1,4 @@
-"""The same small road in the formats of other maps: lanes "1" and "2" side by side, eastwards, led on to "3".
+"""The same small road in the formats of other maps: lanes "1" and "2" side by side, eastwards, followed by "3".
 
 Lane 1 runs from (0, 0) to (50, 0) and lane 2 from (0, 3.5) to (50, 3.5), lane 1 on the right of it behind a dashed
 line; lane 3 is a connector that turns left from the end of 2, and 4 follows it.
@@ -18,7 +18,7 @@ import shapely
 from source_writers import write_geopackage
 
 HALF_M = 1.75
-UTM_M = (456_100.0, 5_428_200.0)  # where the road lies in zone 32, in Karlsruhe
+UTM_M = (456_100.0, 5_428_200.0)  # position of the road in zone 32, in Karlsruhe
 NAMES = {
     "argoverse2": "log_map_archive_small.json",
     "commonroad": "TST_Small-1_1_T-1.xml.gz",
@@ -127,7 +127,7 @@ def _obstacle() -> str:
 
 
 def lanelet2(*, in_degrees: bool = False) -> str:
-    """Return the road as a Lanelet2 map: nodes with local places, one way for each side, lane 4 drawn backwards."""
+    """Return the road as a Lanelet2 map: nodes with local positions, one way for each side, lane 4 drawn backwards."""
     nodes: dict[tuple[float, float], int] = {}
     ways, relations = [], []
     for name, (centre, _, inside) in LANES.items():

@@ -1,4 +1,4 @@
-"""Other people's readers of maps, in environments of their own (``make readers``): lanes and links as JSON.
+"""Third-party map readers in separate environments (``make readers``): lanes and links as JSON.
 
 Each script prints ``{"lanes": {name: [[x, y], …]}, "links": [[from, to], …]}`` for the map that it is given.
 """
@@ -93,7 +93,7 @@ SCRIPTS = {
 
 
 def read_outside(reader: str, path: Path) -> dict[str, Any]:
-    """Return lanes and links of *path* as *reader* has them; skips where it is not installed."""
+    """Return lanes and links of *path* as *reader* reads them; skip the test if the reader is not installed."""
     python = ROOT / "build" / "readers" / reader / "bin" / "python"
     if not python.exists():
         pytest.skip(f"{python} is not there: make readers")

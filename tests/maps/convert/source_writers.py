@@ -1,4 +1,4 @@
-"""Any map in the formats of nuPlan and Lanelet2: large samples of formats of which there are no genuine files."""
+"""Write any map in the formats of nuPlan and Lanelet2, for large samples of formats without real files here."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HALF_M = 1.75
 UTM_M = (456_000.0, 5_428_000.0)  # where (0, 0) lies in zone 32
 SRS_NUMBER = 4326
 TYPES = {"fid": "INTEGER", "speed_limit_mps": "REAL", "geom": "BLOB"}
-# The tables that the standard demands (OGC 12-128r19, annex C), without those of layers that are not there.
+# The tables that the standard requires (OGC 12-128r19, annex C), without those of absent layers.
 GEOPACKAGE = """
 PRAGMA application_id = 1196444487;
 PRAGMA user_version = 10200;

@@ -1,4 +1,4 @@
-"""Dubins pieces against circles worked out by hand."""
+"""Dubins pieces are compared with circles that were computed by hand."""
 
 from __future__ import annotations
 

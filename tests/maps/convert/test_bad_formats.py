@@ -1,4 +1,4 @@
-"""Wrong values anywhere in maps of other formats: one sentence, or a map without what was wrong."""
+"""Wrong values anywhere in maps of other formats give an error of one sentence, or a map without the wrong parts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS = ("argoverse2", "commonroad", "lanelet2", "opendrive")
 
 
 def text_of(kind: str, folder: Path) -> tuple[Path, str]:
-    """Return where the small road of *kind* lies, and its text."""
+    """Return the path of the small road in format *kind*, and its text."""
     if kind == "opendrive":
         source = read_map(small_sources.write("lanelet2", folder))
         convert_source(source, folder / "n.net.xml", opendrive=True)
@@ -33,7 +33,7 @@ def text_of(kind: str, folder: Path) -> tuple[Path, str]:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a map, packed where its name says so."""
+    """Write a map, compressed if its name says so."""
     path.write_bytes(gzip.compress(text.encode(), mtime=0) if path.suffix == ".gz" else text.encode())
 
 
@@ -70,7 +70,7 @@ def test_wrong_values_anywhere(kind: str, tmp_path: Path) -> None:
     ],
 )
 def test_a_place_far_away_leaves_a_lane_out(kind: str, old: str, new: str, tmp_path: Path) -> None:
-    """In none of them does anything grow with the length of a boundary that is no boundary."""
+    """Time and memory do not grow with the length of a boundary that has impossible coordinates."""
     path, text = text_of(kind, tmp_path)
     assert old in text
     write(path, text.replace(old, new, 1))

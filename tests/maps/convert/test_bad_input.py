@@ -1,4 +1,4 @@
-"""Files that cannot be used are refused with one sentence; small faults are counted and told."""
+"""Files that cannot be used are refused with one sentence; small faults are counted and reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults put anywhere into a map: one sentence, or a map that is read with the fault counted; never a traceback."""
+"""Faults anywhere in a map give an error of one sentence, or a map with the fault counted; never a traceback."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WRONG: tuple[Any, ...] = (
 
 
 def run_cli(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Convert *path* as a user does and return exit code and what was said."""
+    """Convert *path* as a user does; return exit code and output."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             sys, "argv", ["advdiff-sumo", "convert", str(path), "-o", str(path.with_name("out.net.xml"))]

@@ -1,4 +1,4 @@
-"""``convert --drive`` and ``--drive-at-once``: both readings of a number of vehicles, stored and told apart."""
+"""``convert --drive`` and ``--drive-at-once`` treat a number of vehicles differently and store separate results."""
 
 from __future__ import annotations
 

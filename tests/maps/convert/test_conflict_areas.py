@@ -1,4 +1,4 @@
-"""Ways that pass each other within less than a width, without crossing: SUMO's drivers see who is inside."""
+"""Connections that pass each other at less than a vehicle's width without crossing: SUMO's drivers yield there."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from advdiff_sumo.sim.driving_test import driving_test
 from advdiff_sumo.sim.session import Session, SessionOptions
 
 RADIUS_M = 30.0
-TURN = math.acos(1.0 - 1.4 / RADIUS_M)  # of an S of which each half leads 1.4 m aside
-HALF_M = 2.0 * RADIUS_M * math.sin(TURN)  # half the length of the way, along the road
+TURN = math.acos(1.0 - 1.4 / RADIUS_M)  # in an S-curve of which each half shifts the line by 1.4 m
+HALF_M = 2.0 * RADIUS_M * math.sin(TURN)  # half the length of the connection, along the road
 CONFLICT = re.compile(r'<conflict from="(\w+)" to="(\w+)" .*startPos="(.+)" endPos="(.+)"')
 
 
@@ -42,7 +42,7 @@ def narrow_road(folder: Path) -> ConversionResult:
 
 
 def test_shared_span_of_lines_that_hardly_come_so_near() -> None:
-    """2.1995 m from a corner: within 2.2 m of it, and outside the polygon that stands for a circle around it."""
+    """The point is 2.1995 m from a corner: within 2.2 m, but outside the polygon that approximates the circle."""
     corner = np.array([(-10.0, -10.0), (0.0, 0.0), (10.0, -10.0)])
     away = math.radians(90.0 + 0.5 * 90.0 / 16.0)  # halfway between two vertices of that polygon
     nearest = 2.1995 * np.array([math.cos(away), math.sin(away)])
@@ -53,7 +53,7 @@ def test_shared_span_of_lines_that_hardly_come_so_near() -> None:
 
 
 def test_shared_span_of_lines_two_metres_apart() -> None:
-    """The other one runs along the middle third, and leaves at right angles."""
+    """The other line runs along the middle third and turns away at right angles."""
     line = np.array([(0.0, 0.0), (30.0, 0.0)])
     other = np.array([(20.0, 9.0), (20.0, 2.0), (10.0, 2.0), (10.0, 9.0)])
     reach = math.sqrt(2.2**2 - 2.0**2)
@@ -61,7 +61,7 @@ def test_shared_span_of_lines_two_metres_apart() -> None:
 
 
 def test_both_ways_state_where_they_are_shared(tmp_path: Path) -> None:
-    """The arc in the middle lies within 2.2 m as long as it has come back by less than a metre."""
+    """The arc in the middle lies within 2.2 m until it has returned by one metre."""
     result = narrow_road(tmp_path)
     assert result.counts["pairs of ways with stated conflicts"] == 1
     rows = CONFLICT.findall(result.net.read_text("utf-8"))
@@ -75,7 +75,7 @@ def test_both_ways_state_where_they_are_shared(tmp_path: Path) -> None:
 @pytest.mark.parametrize("first", ["on", "back"])
 @pytest.mark.parametrize("stated", [False, True])
 def test_a_car_waits_for_one_that_stands_on_the_other_way(first: str, stated: bool, tmp_path: Path) -> None:
-    """Where conflicts are not stated, it drives through the standing one."""
+    """If conflicts are not stated, the car drives through the standing one."""
     net = narrow_road(tmp_path).net
     if not stated:
         net.write_text(re.sub(r"<conflict [^>]*/>", "", net.read_text("utf-8")), "utf-8")

@@ -1,4 +1,4 @@
-"""Who goes first: stop lines, lights, solid dividers and narrow places on hand-made maps."""
+"""Right of way by stop lines, lights and narrow junctions, and solid dividers, on hand-made maps."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_yield_sign(tmp_path: Path, at: list[tuple[float, float]], first: str, s
 
 
 def test_line_before_a_crossing_on_foot_tells_where_to_stop_alone(tmp_path: Path) -> None:
-    """Its upstream edge lies 2 m before the end of lane "west"."""
+    """The upstream border of the line lies 2 m before the end of lane "west"."""
     plain = states(crossing(net_of(crossroads(), tmp_path)))
     road = crossroads()
     stop_line(road, "PED_CROSSING", AT_WEST)
@@ -93,7 +93,7 @@ def test_line_before_a_crossing_on_foot_tells_where_to_stop_alone(tmp_path: Path
 
 @pytest.mark.parametrize(("waits", "at"), [("west", (98.0, 101.0)), ("south", (100.0, 92.0))])
 def test_turn_stop_lets_its_way_wait(tmp_path: Path, waits: str, at: tuple[float, float]) -> None:
-    """A line in the junction across the left turn from the west, or across the way from the south."""
+    """A line inside the junction crosses the left turn from the west, or the connection from the south."""
     road = crossroads()
     x, y = at
     stop_line(
@@ -113,7 +113,7 @@ def test_turn_stop_lets_its_way_wait(tmp_path: Path, waits: str, at: tuple[float
 
 
 def test_vehicles_stop_where_the_stop_line_is(tmp_path: Path) -> None:
-    """A stop line 12 m before the end of lane "west", upstream edge at 13 m: the front stops there at red."""
+    """The upstream border of the stop line lies 13 m before the end of lane "west": at red, the front stops there."""
     road = crossroads()
     stop_line(
         road, "TRAFFIC_LIGHT", [(77.0, 98.0), (78.0, 98.0), (78.0, 102.0), (77.0, 102.0)], light="light"
@@ -202,7 +202,7 @@ def test_light_along_a_lane_is_not_that_lanes(tmp_path: Path) -> None:
 
 
 def test_light_that_is_never_red_is_named(tmp_path: Path) -> None:
-    """The light at the end of "west" holds it for "south"; nothing crosses the road "alone"."""
+    """The light at the end of "west" stops it for "south"; nothing crosses the road "alone"."""
     road = crossroads()
     light(road, AT_WEST[1:3])
     end = road.straight("alone", (40.0, 300.0, 0.0), 50.0)
@@ -266,7 +266,7 @@ def test_ways_that_pass_too_near_yield(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("guess", [False, True])
 def test_signals_where_ways_run_along_each_other(tmp_path: Path, guess: bool) -> None:
-    """Two turns towards each other whose bodies touch for 22 m: SUMO is told, or a signal parts them."""
+    """Two opposite turns on which vehicles touch for 22 m: the conflict is stated, or a signal separates them."""
     road = crossroads()
     end = road.straight("on-in", (40.0, 200.0, 0.0), 60.0)
     end = road.straight("on-way", end, 30.0, connector=True)

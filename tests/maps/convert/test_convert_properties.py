@@ -1,4 +1,4 @@
-"""Whole small maps drawn at random: every invariant that a conversion must keep."""
+"""Every invariant of a conversion, on small random maps."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def _turn(builder: MapBuilder, town: Town) -> None:
 
 
 def check_geometry(data: dict[str, object], net: WrittenNet) -> None:
-    """No lane or connector lost; each is covered by lines of the net, which run nowhere else.
+    """No lane or connector is lost: lines of the net cover each of them and run nowhere else.
 
     The source is integrated again here, and no book-keeping of the converter is used.
     """
@@ -180,7 +180,7 @@ def _places(line: shapely.LineString) -> FloatArray:
 
 
 def check_connectivity(data: dict[str, object], result: ConversionResult, net: WrittenNet) -> None:
-    """Who can drive from which lane to which: in the net exactly as in the map.
+    """The net connects exactly the lanes that the map connects.
 
     Each edge lane is traced back to its source lane by geometry (the one nearest to its middle with its yaw), so that
     a path in the net becomes a list of source lanes.

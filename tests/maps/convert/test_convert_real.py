@@ -1,4 +1,4 @@
-"""The four real maps: the bars that the converter is held to."""
+"""The four real maps meet the requirements on the converter."""
 
 from __future__ import annotations
 

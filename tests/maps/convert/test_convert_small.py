@@ -1,4 +1,4 @@
-"""Hand-made maps through netconvert and back."""
+"""Hand-made maps are converted with netconvert and read back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def converted(road: MapBuilder, folder: Path, **options: bool) -> ConversionResu
 
 
 def check_invariants(result: ConversionResult) -> None:
-    """Every lane drawn, every link kept, nothing invented, exact centre lines."""
+    """Every lane is drawn, every link is kept, nothing is invented, and centre lines are exact."""
     figures = measure(result).as_dict()
     assert figures["lanes"]["lost"] == []
     assert figures["connections"]["lost"] == []

@@ -1,4 +1,4 @@
-"""An edge is divided in its middle so that the junctions at its ends can become one."""
+"""Edges are divided in the middle, so that the junctions at both ends can be joined."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_an_edge_of_two_lanes_is_divided_in_its_middle() -> None:
     layout = layout_of([100.0, 102.0, 30.0], [[OTHER], [RIGHT, LEFT]])
     start, end = layout.junctions(RIGHT)
     _divide(layout, [RIGHT, LEFT])
-    half = 0.5 * CUT_M  # what bridges the cut is a metre in the new junction
+    half = 0.5 * CUT_M  # the internal lane in the new junction is 1 m long
     first = [Piece(0, 10.0, 50.0 - half), Piece(1, 12.0, 54.0 - half)]
     second = [Piece(0, 50.0 + half, 90.0), Piece(1, 54.0 + half, 96.0)]
     assert layout.groups == [[OTHER], first, second]
@@ -59,7 +59,7 @@ def test_a_lane_can_be_divided_where_others_go_before_and_after() -> None:
 
 @pytest.mark.parametrize(("between_m", "divided"), [(60.0, 1), (15.0, 0)])
 def test_ways_that_cross_come_into_one_junction(between_m: float, divided: bool) -> None:
-    """Lane 0 has a way at either end, 10 m long; lane 1's way crosses both.
+    """Lane 0 has an internal part of 10 m at either end; the internal part of lane 1 crosses both.
 
     A long piece between them is divided, a short one goes inside the junction.
     """

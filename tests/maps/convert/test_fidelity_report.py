@@ -1,4 +1,4 @@
-"""The page about a conversion: what it claims is what the figures say."""
+"""The page about a conversion agrees with the figures."""
 
 from __future__ import annotations
 

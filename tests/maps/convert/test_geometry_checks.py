@@ -1,4 +1,4 @@
-"""Paths, polygons and links that contradict each other are left out or put right, with a sentence each."""
+"""Centre lines, polygons and links that contradict each other are left out or corrected, with a sentence each."""
 
 from __future__ import annotations
 

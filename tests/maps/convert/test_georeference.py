@@ -1,4 +1,4 @@
-"""Where on earth maps of other formats lie: what SUMO's tools make of it, and streets around them."""
+"""Projections of maps of other formats: as SUMO's tools read them, and with streets around the maps."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def transformation(system: str, **values: object) -> str:
 
 
 def place_deg(source: SourceMap, xy_m: tuple[float, float], folder: Path) -> tuple[float, float]:
-    """Return longitude and latitude of a place of the net made of *source*, as sumolib says."""
+    """Return longitude and latitude of a point of the net made from *source*, by sumolib."""
     net = convert_source(source, folder / "placed.net.xml", crossings="none").net
     return sumolib.net.readNet(str(net)).convertXY2LonLat(*xy_m)
 
@@ -74,7 +74,7 @@ def test_systems_worked_by_hand() -> None:
     "system", ["EPSG:32756", "EPSG:25832", CARLA, "EPSG:3035", "+proj=stere +lat_0=52 +lon_0=5"]
 )
 def test_systems_as_pyproj_has_them(system: str, offset_m: tuple[float, float]) -> None:
-    """Whatever the projection, places differ by the offset alone (EPSG:3035 is Lambert's, of equal areas)."""
+    """In any projection, points differ by the offset alone (EPSG:3035 is Lambert's equal-area projection)."""
     plane = pyproj.Transformer.from_crs(pyproj.CRS(system).geodetic_crs, system, always_xy=True)
     assert plane.source_crs is not None
     area = pyproj.CRS(system).area_of_use
@@ -192,7 +192,7 @@ def test_an_offset_that_is_no_number_is_told(value: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", ["opendrive", "commonroad", "nuplan"])
 def test_streets_lead_on_where_the_map_ends(kind: str, tmp_path: Path) -> None:
-    """Lanes lead eastwards and, on the left, north out of the map; streets lead from there to their beginning."""
+    """Lanes lead eastwards and, on the left, north out of the map; streets lead from their ends to their beginnings."""
     if kind == "opendrive":
         source = opendrive(tmp_path, UTM_32, f'<offset x="{EAST_M}" y="{NORTH_M}"/>')
     elif kind == "commonroad":
@@ -211,7 +211,7 @@ def test_streets_lead_on_where_the_map_ends(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.data
 def test_genuine_scenarios_state_a_town_and_no_frame(adv_data: Path) -> None:
-    """The four CommonRoad scenarios have no geoTransformation: nothing is claimed, nothing is told."""
+    """The four CommonRoad scenarios have no geoTransformation, so there is no projection and no warning."""
     for path in sorted((adv_data / "commonroad").glob("*.xml.gz")):
         source = read_map(path)
         assert source.projection is None

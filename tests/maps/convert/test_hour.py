@@ -1,4 +1,4 @@
-"""An hour of traffic, 300 vehicles, on nets of every source: nobody stands in the way for good, nobody collides."""
+"""An hour of traffic with 300 vehicles on nets of every source, without lasting blockage and without collision."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_nobody_is_stuck_and_nobody_collides(name: str, adv_data: Path, tmp_path
 def test_nobody_collides_on_a_city_in_formats_without_genuine_files(
     kind: str, adv_data: Path, tmp_path: Path
 ) -> None:
-    """One-north as nuPlan, Lanelet2 and OpenDRIVE have it."""
+    """One-north in the formats of nuPlan, Lanelet2 and OpenDRIVE."""
     source = read_map(adv_data / "nuscenes-mini/maps/expansion/singapore-onenorth.json")
     if kind == "nuplan":
         write_nuplan(source, path := tmp_path / "map.gpkg")
@@ -59,7 +59,7 @@ def test_nobody_collides_on_a_city_in_formats_without_genuine_files(
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
 def test_ways_that_cross_twice_are_parted_by_edges(seed: int, adv_data: Path, tmp_path: Path) -> None:
-    """Ways of the square in Pula are up to 67 m long and would cross each other twice: SUMO's drivers see one."""
+    """Connections of the square in Pula are up to 67 m long and cross twice; SUMO's drivers notice one crossing."""
     source = read_map(adv_data / "commonroad/HRV_Pula-27_3_T-1.xml.gz")
     result = convert_source(source, tmp_path / "n.net.xml")
     figures = driving_test(result.net, vehicles=300, seed=seed)

@@ -1,4 +1,4 @@
-"""Routes over edges that no lane follows are found, and the converter leaves none."""
+"""Routes over edges that no sequence of lanes follows are found, and the converter leaves none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.maps.convert.lane_routes import RouteLanes, edges_to_part, gra
 
 
 def graph(changes: bool) -> RouteLanes:
-    """Return a → m ← b with lanes apart: a leads over lane 0 of m to c, b over lane 1 to d."""
+    """Return a → m ← b without lane changes on m: a leads over lane 0 of m to c, b over lane 1 to d."""
     lanes = RouteLanes({name: [set()] for name in "abcd"})
     lanes.changes["m"] = [{1}, {0}] if changes else [set(), set()]
     lanes.add_link(("a", 0), ("m", 0))

@@ -1,4 +1,4 @@
-"""Centre lines of lanelets, worked by hand."""
+"""Centre lines of lanelets, computed by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.maps.convert.sources.lanelet_centre import lanelet_centre
 
 
 def test_points_on_one_side_are_joined_with_the_nearest_on_the_other() -> None:
-    """From (0, 2) the point at 5 is 5.4 m away and the one at 10 from (0, 0) 10.2 m; then it is the other way round."""
+    """The point at x = 5 is 5.4 m from (0, 2), the one at x = 10 is 10.2 m from (0, 0); then the sides are swapped."""
     left, right = np.array([(0.0, 2.0), (10.0, 2.0)]), np.array([(0.0, 0.0), (5.0, 0.0), (10.0, 0.0)])
     assert lanelet_centre(left, right).tolist() == [[0.0, 1.0], [2.5, 1.0], [7.5, 1.0], [10.0, 1.0]]
     mirrored = lanelet_centre(right[::-1], left[::-1])
@@ -19,7 +19,7 @@ def test_points_on_one_side_are_joined_with_the_nearest_on_the_other() -> None:
 
 
 def test_equal_boundaries_of_a_bend() -> None:
-    """Points at the same angles are the nearest, so every second place lies on the circle in the middle."""
+    """Points at the same angles are nearest, so every second point lies on the circle in the middle."""
     angles = np.radians(np.arange(0.0, 91.0, 10.0))
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     centre = lanelet_centre(8.0 * ring, 12.0 * ring)

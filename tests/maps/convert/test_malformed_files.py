@@ -1,4 +1,4 @@
-"""Files that cannot be used: exit code 2 and one sentence that names the file, what is wrong, and what to give."""
+"""Files that cannot be used give exit code 2 and one sentence with file, problem and remedy."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ PARAMS = [pytest.param(case, id=f"{case.kind}: {case.fault}") for case in CASES]
 
 
 def is_one_sentence(text: str, path: Path) -> bool:
-    """Return whether *text* says of *path* what is wrong, and after a semicolon what to give."""
+    """Return whether *text* states the problem of *path* and, after a semicolon, the remedy."""
     return text.startswith(f"{path}: ") and "; " in text and "\n" not in text and len(text) < 600
 
 
 def test_there_are_sixty_malformed_files() -> None:
     by_kind = Counter(case.kind for case in CASES)
-    assert len(CASES[::3]) >= 60  # of which the command is tested
+    assert len(CASES[::3]) >= 60  # the files for which the command is run
     assert by_kind.keys() == NAMES.keys()
     assert min(by_kind.values()) >= 20
     assert len({(case.kind, case.fault) for case in CASES}) == len(CASES)
@@ -52,7 +52,7 @@ def test_malformed_files_get_one_sentence(case: Malformed, tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_the_command_ends_with_2(kind: str, tmp_path: Path) -> None:
-    """Every third file, a command for each."""
+    """The command is run for every third file."""
     cases = [case for case in CASES if case.kind == kind][::3]
     for number, case in enumerate(cases):
         (folder := tmp_path / str(number)).mkdir()

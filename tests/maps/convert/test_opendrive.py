@@ -1,4 +1,4 @@
-"""The OpenDRIVE file, evaluated independently, against the plan; netconvert and ASAM's checker as outside readers."""
+"""OpenDRIVE files agree with the plan: evaluated independently, by netconvert, and by ASAM's checker."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def both(path: Path, folder: Path) -> tuple[ConversionResult, Path]:
 
 
 def distance(a: FloatArray, b: FloatArray) -> float:
-    """Return how far two lines are from each other, in both directions, ends included."""
+    """Return the largest distance between two lines, in both directions, ends included."""
     one, other = (drop_repeats(line, 1e-6) for line in (a, b))
     there = polyline.project(one, polyline.resample(other, 0.5)[0])[1]
     back = polyline.project(other, polyline.resample(one, 0.5)[0])[1]
@@ -51,7 +51,7 @@ def left_border(road: EvaluatedRoad) -> FloatArray:
 
 
 def planned_lines(result: ConversionResult) -> dict[str, FloatArray]:
-    """Return what each road should follow, by its name."""
+    """Return the line that each road should follow, by the road's name."""
     lanes = {
         f"{edge.id}_{index}": lane.shape_m
         for edge in result.plan.edges
@@ -65,7 +65,7 @@ def planned_lines(result: ConversionResult) -> dict[str, FloatArray]:
 
 
 def check_file(result: ConversionResult, xodr: Path) -> None:
-    """Every lane and way is there, follows the plan over its whole length, and joins what it should join."""
+    """Every lane and connection exists, follows the plan over its whole length, and joins the planned lanes."""
     roads = evaluate(xodr)
     planned = planned_lines(result)
     by_name = {road.name: road for road in roads.values()}
@@ -81,7 +81,7 @@ def check_file(result: ConversionResult, xodr: Path) -> None:
 
 
 def check_joints(roads: dict[str, EvaluatedRoad], way: EvaluatedRoad) -> None:
-    """Centre and borders of a way go on from those of its lanes, and so does its name."""
+    """Centre line and borders of a connection continue those of its lanes, and its name names both."""
     before, after = roads[str(way.predecessor)], roads[str(way.successor)]
     assert way.name == f"{before.name}->{after.name}"
     for first, second in ((before, way), (way, after)):
@@ -91,7 +91,7 @@ def check_joints(roads: dict[str, EvaluatedRoad], way: EvaluatedRoad) -> None:
 
 
 def imported(xodr: Path, folder: Path) -> tuple[dict[str, FloatArray], dict[tuple[str, str], FloatArray]]:
-    """Return what netconvert makes of a file: inner borders by road id, ways by road ids."""
+    """Return what netconvert reads from a file: inner borders by road id, connections by road ids."""
     command = [sumolib.checkBinary("netconvert"), "--opendrive-files", str(xodr), "--precision", "4"]
     command += ["--plain-output-prefix", str(folder / "plain"), "--offset.disable-normalization", "true"]
     command += ["--opendrive.internal-shapes", "true", "--opendrive.import-all-lanes", "true"]
@@ -121,7 +121,7 @@ def _points(text: str) -> FloatArray:
 
 
 def check_import(xodr: Path, folder: Path) -> None:
-    """Whatever netconvert reads, before it cuts lanes at junctions of its own, lies within a decimetre."""
+    """What netconvert reads, before it cuts lanes at its own junctions, is right within a decimetre."""
     roads = evaluate(xodr)
     edges, ways = imported(xodr, folder)
     assert set(edges) == {number for number, road in roads.items() if "->" not in road.name}
@@ -144,7 +144,7 @@ def curved() -> MapBuilder:
 
 
 def tapering() -> MapBuilder:
-    """Return a lane that narrows from 5 m to 3 m over 40 m, then widens to 4 m over 20 m, and one that leads on."""
+    """Return a lane that narrows from 5 m to 3 m over 40 m, then widens to 4 m over 20 m, and the lane after it."""
     road = MapBuilder()
     end = road.straight("a", (100.0, 100.0, 0.0), 60.0)
     row = road.data["lane"][0]

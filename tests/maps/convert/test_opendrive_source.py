@@ -1,4 +1,4 @@
-"""OpenDRIVE as a source: hand-worked curves, lanes and links."""
+"""Reading OpenDRIVE: curves, lanes and links computed by hand."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def element(text: str) -> Element:
 
 
 def ends(reference: ReferenceLine) -> tuple[FloatArray, float]:
-    """Return where a line ends, seen from its beginning, and its heading there."""
+    """Return the end of a line relative to its beginning, and its heading there."""
     xy, yaw = reference.at(np.linspace(0.0, reference.length_m, 50))
     return xy[-1] - [10.0, 20.0], float(yaw[-1])
 
@@ -130,7 +130,7 @@ def test_lanes_of_both_directions(tmp_path: Path) -> None:
 
 
 def test_a_section_of_a_single_side_leaves_the_other_one_as_it_is(tmp_path: Path) -> None:
-    """Behind 20 m road 7 has a second lane on its right, its left lane goes on for all 40 m; road 8 follows."""
+    """After 20 m, road 7 has a second lane on its right; its left lane is 40 m long; road 8 follows."""
     on, before = '<successor id="-1"/>', '<predecessor id="1"/>'
     right = lane(-1, mark="broken") + lane(-2)
     extra = f'</laneSection><laneSection s="20" singleSide="true"><right>{right}</right></laneSection>'
@@ -180,7 +180,7 @@ NONE = '<roadMark sOffset="0" type="none"/>'
 def test_markings_that_may_be_crossed(
     marks: str, out: bool | None, back: bool | None, side: int, tmp_path: Path
 ) -> None:
-    """Lanes 1 and 2 of a *side*, whether who drives on 1 may go *out* to 2 of its right side, and *back*.
+    """Lanes 1 and 2 of a *side*: whether a vehicle on lane 1 may change *out* to lane 2 on its right, and *back*.
 
     On the left, going out is towards higher numbers.
     """
@@ -219,7 +219,7 @@ def test_what_is_written_of_a_net_is_read_back_on_the_same_side(tmp_path: Path, 
 
 
 def test_links_of_roads_and_junctions(tmp_path: Path) -> None:
-    """Road 1 leads by junction 9 through road 2 to road 3, which goes on in road 4; lanes on the left lead back."""
+    """Road 1 leads via road 2 in junction 9 to road 3, followed by road 4; lanes on the left lead back."""
     to_junction = '<successor elementType="junction" elementId="9"/>'
     before = '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
     after = '<successor elementType="road" elementId="3" contactPoint="start"/>'

@@ -1,4 +1,4 @@
-"""Streets of OpenStreetMap beyond the rim: they lead back to the map, which stays as it is."""
+"""OpenStreetMap streets beyond the rim lead back to the map, and the map is not changed."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def road_both_ways(folder: Path, lefthand: bool = False) -> Path:
 
 
 def town(lefthand: bool = False) -> OsmExtract:
-    """Return the street of that road, 1.5 m off, on to a ring that leads from its one end to the other.
+    """Return the street of that road, 1.5 m off, and a ring of streets from one end of the road to the other.
 
-    From the ring a blind alley branches off, at whose end one turns round. Besides, there are a street that meets the
-    road from the side and ends there, one that touches nothing, and a path.
+    A dead-end street with a turnaround branches off the ring. There are also a street that meets the road from the
+    side and ends there, one without contact to others, and a footpath.
     """
     extract = OsmExtract(projection_of(PLACES[lefthand]))
     extract.way((0.0, 103.25), (400.0, 103.25), maxspeed="50", highway="secondary")
@@ -124,7 +124,7 @@ def _sources(net: Path) -> list[str]:
 
 
 def test_a_car_drives_from_the_map_through_streets_and_back_without_a_jump(tmp_path: Path) -> None:
-    """It is in the scene on the map alone."""
+    """The car appears in the scene only while it is on the map."""
     net = converted(tmp_path).net
     road = RoadMap.read(net)
     graph = sumolib.net.readNet(str(net))
@@ -170,7 +170,7 @@ def test_traffic_flows_over_the_joints(tmp_path: Path) -> None:
 
 
 def test_an_end_that_no_street_fits_stays_open_or_gets_a_return_edge(tmp_path: Path) -> None:
-    """The street leads on in the east, to a place to turn round; in the west there is none."""
+    """In the east, the street continues to a turnaround; in the west there is no street."""
     osm = OsmExtract()
     osm.way((160.0, 102.0), (400.0, 102.0))
     source = read_map(road_both_ways(tmp_path))
@@ -226,7 +226,7 @@ def test_two_lanes_lead_to_two_lanes_though_the_street_lies_aside(tmp_path: Path
 
 
 def test_a_street_that_changes_its_lanes_just_beyond_the_map(tmp_path: Path) -> None:
-    """Two metres outside junctions are left of its first part: the second one takes the joint, either way."""
+    """Only 2 m of the first part lie outside junctions, so the second part gets the joint, in both directions."""
     osm = OsmExtract()
     osm.way((0.0, 101.75), (92.0, 101.75), lanes="4")
     osm.way((92.0, 101.75), (228.0, 101.75), lanes="2")
@@ -244,7 +244,7 @@ def test_a_street_that_changes_its_lanes_just_beyond_the_map(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("on_the_map", [False, True])
 def test_a_gap_to_the_street_may_be_long_where_the_map_is_drivable(on_the_map: bool, tmp_path: Path) -> None:
-    """Streets begin 60 m beyond the last lanes, where they are cut off, or where they begin by themselves."""
+    """Streets begin 60 m beyond the last lanes, either because they are cut there or on their own."""
     source = read_map(road_both_ways(tmp_path))
     osm = OsmExtract()
     osm.way((160.0 if on_the_map else 280.0, 101.75), (400.0, 101.75))
@@ -257,7 +257,7 @@ def test_a_gap_to_the_street_may_be_long_where_the_map_is_drivable(on_the_map: b
 
 @pytest.mark.parametrize("kind", ["lanelet2", "argoverse2"])
 def test_other_sources(kind: str, tmp_path: Path) -> None:
-    """Their road leads eastwards in two lanes, of which the left one turns north and leads out of the map."""
+    """The road leads eastwards in two lanes; the left one turns north and leads out of the map."""
     path = small_sources.write(kind, tmp_path)
     if kind == "argoverse2":
         path = path.rename(tmp_path / "log_map_archive_1____PIT_city_2.json")
@@ -365,7 +365,7 @@ def test_command(tmp_path: Path) -> None:
 @pytest.mark.data
 @pytest.mark.slow
 def test_genuine_streets_around_a_genuine_map(adv_data: Path, tmp_path: Path) -> None:
-    """Streets that DriveArena took from OpenStreetMap, around the map of the same place: an hour of traffic."""
+    """An hour of traffic on a map with the OpenStreetMap streets that DriveArena uses around it."""
     place = "singapore-onenorth"
     extract = extract_of_net(adv_data / "sumo" / f"drivearena-{place}" / "osm.net.xml")
     source = read_map(adv_data / "nuscenes-mini" / "maps" / "expansion" / f"{place}.json")

@@ -39,7 +39,7 @@ def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def run(command: Sequence[str | Path], **environment: str) -> str:
-    """Run a program of SUMO, which must succeed, and return what it says."""
+    """Run a program of SUMO, which must succeed, and return its output."""
     done = subprocess.run(
         [str(part) for part in command],
         capture_output=True,
@@ -54,7 +54,7 @@ def run(command: Sequence[str | Path], **environment: str) -> str:
 
 
 def off(before: WrittenNet, after: WrittenNet) -> float:
-    """Return how far lanes and ways have moved at most, both ways."""
+    """Return the largest distance between lanes and connections before and after, in both directions."""
     pairs = [(line, after.lanes[key][0]) for key, (line, _) in before.lanes.items()]
     pairs += [(line, after.connections[key][0]) for key, (line, _) in before.connections.items()]
     away = [np.abs(polyline.project(a, polyline.resample(b, 0.5)[0])[1]).max() for a, b in pairs]

@@ -1,4 +1,4 @@
-"""Where junctions are parted: on a connector, where nobody else's way is near."""
+"""Junctions are divided on a connector, at a stretch with no other lane near."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ LINKS = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 7), (2, 6), (6, 8)]
 
 
 def test_a_lane_between_two_junctions_stays_an_edge_though_their_ways_cross() -> None:
-    """Way 5 crosses 6 behind 95.8 m: 2.2 m off lane 0 and connector 1, and 2.2 m before way 6, it becomes an edge."""
+    """Connector 5 becomes an edge from 2.2 m beyond lane 0 and connector 1 to 2.2 m before connector 6, at 95.8 m."""
     layout = lay_out(CROSSING, INSIDE, LINKS, [])
     assert layout.pieces[2] == [Piece(2, 0.0, 8.0)]
     first, second = layout.junctions(layout.pieces[2][0])
@@ -58,7 +58,7 @@ def test_a_lane_between_two_junctions_stays_an_edge_though_their_ways_cross() ->
 
 
 def test_where_no_car_could_wait_the_lane_becomes_part_of_one_junction() -> None:
-    """Way 5 lies within 2.2 m of others all along; of way 6, 5.8 m are clear."""
+    """All of connector 5 is within 2.2 m of others; 5.8 m of connector 6 are clear."""
     lines = [
         line((-100.0, 0.0), (-5.0, 0.0)),
         line((-5.0, 0.0), (0.0, 0.0)),

@@ -1,4 +1,4 @@
-"""Arc-length operations on a bent line worked out by hand."""
+"""Arc-length operations on a bent line, computed by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where on earth maps lie."""
+"""Projections of maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Return edges beyond the rim: everything reaches everything, and nobody measures there."""
+"""Return edges beyond the rim: every edge can reach every other, and nothing is measured on return edges."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_all_edges_reach_each_other(name: str, tmp_path: Path) -> None:
     part = closed["routability"]
     assert part["largest_part_edges"] == part["edges"] > plain["routability"]["edges"]
     assert part["dead_ends"] == part["sources"] == []
-    assert closed["connections"] == plain["connections"]  # what is measured is the map alone
+    assert closed["connections"] == plain["connections"]  # only the map is measured
     assert closed["lanes"] == plain["lanes"]
     assert closed["centre_line_error_m"] == plain["centre_line_error_m"]
 
@@ -86,10 +86,10 @@ def test_command(tmp_path: Path) -> None:
 
 
 def test_nobody_comes_in_on_the_lane_of_somebody_else(tmp_path: Path) -> None:
-    """A lane begins in the middle of another one and leads out of the map to the north: it stays open.
+    """A lane that begins in the middle of another one and leads north out of the map gets no return edge.
 
-    Another one begins 10.2 m beside the nearest lane, so that a car and its gap (7.5 m) are 2.7 m away from it (2.2 m
-    are needed); it is entered.
+    Another lane begins 10.2 m beside the nearest one, so that a car and its gap (7.5 m) are 2.7 m away from that lane
+    (2.2 m are needed). It gets a return edge.
     """
     road = two_lane_road()
     for name, x, y in (("inside", 120.0, 101.0), ("beside", 150.0, 113.7)):
@@ -121,10 +121,10 @@ def solid(road: MapBuilder, token: str, side: str, x: float, y: float) -> None:
 
 
 def clipped_at_a_light(open_lane: str) -> MapBuilder:
-    """Return crossroads with a light, at which the connectors of one lane of two of a direction are missing.
+    """Return crossroads with a light, where one of two lanes of a direction has no connectors.
 
-    Lane *open_lane*, "ends" beside "south" or "begins" beside "north", is an edge of its own as who comes from the
-    "side", or goes there, can drive on that lane alone.
+    Lane *open_lane* "ends" beside "south" or "begins" beside "north". It is an edge of its own, as vehicles from or to
+    the "side" can only use this lane.
     """
     road = crossroads()
     nodes = [road.node(90.0, y) for y in (98.0, 102.0)]
@@ -154,7 +154,7 @@ def clipped_at_a_light(open_lane: str) -> MapBuilder:
 
 @pytest.mark.parametrize("open_lane", ["ends", "begins"])
 def test_lanes_that_end_or_begin_at_a_light_inside_the_map_stay_open(open_lane: str, tmp_path: Path) -> None:
-    """All else is joined, and every link of the signal gets green."""
+    """All other ends are joined, and every link of the signal gets green."""
     source = read_map(clipped_at_a_light(open_lane).write(tmp_path / "m.json"))
     result = convert_source(source, tmp_path / "n.net.xml", close_rim=True)
     assert check_signals(result.net) == 1
@@ -176,7 +176,7 @@ PLACES = [
     pytest.param("singapore-hollandvillage", (1,), marks=pytest.mark.nightly),
     pytest.param("boston-seaport", (1,), marks=pytest.mark.nightly),
 ]
-"""Maps, and seeds of the traffic: an hour on the large ones takes long."""
+"""Maps and seeds of the traffic (an hour on the large maps takes long)."""
 
 
 @pytest.mark.data
@@ -185,7 +185,7 @@ PLACES = [
 def test_genuine_maps_are_connected_and_nobody_collides(
     place: str, seeds: tuple[int, ...], adv_data: Path, tmp_path: Path
 ) -> None:
-    """All reaches all, but for what only beginnings on other lanes lead to; an hour of 300 cars."""
+    """All edges reach each other, except those behind entries on other lanes; an hour of traffic with 300 cars."""
     source = read_map(adv_data / "nuscenes-mini" / "maps" / "expansion" / f"{place}.json")
     result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, close_rim=True)
     figures = measure(result).figures
@@ -206,7 +206,7 @@ def test_genuine_maps_are_connected_and_nobody_collides(
 
 
 def _entered(net_file: Path, left_open: list[str]) -> list[str]:
-    """Return the edges to which others lead than *left_open* and what only these lead to."""
+    """Return the edges that can be reached other than from *left_open* edges alone."""
     net = sumolib.net.readNet(str(net_file))
     cars = {
         edge.getID() for edge in net.getEdges() if edge.allows("passenger") or edge.getType() == BEYOND_TYPE

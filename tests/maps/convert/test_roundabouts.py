@@ -1,4 +1,4 @@
-"""Roundabouts: who circulates goes first, on either side of the road; blocks of houses are none."""
+"""Circulating vehicles have priority in roundabouts, in right-hand and left-hand traffic; blocks are none."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Circle(MapBuilder):
     """A roundabout: lanes "ring0" … round it, "in0" … towards it and "out0" … away from it."""
 
     def __init__(self, radius_m: float, *, left: bool, arms: int = 4, gap_deg: float = 25.0) -> None:
-        """Make one in which a lane ends *gap_deg* before each arm and the next begins as far behind it."""
+        """Make a roundabout in which a lane ends *gap_deg* before each arm and the next begins as far after it."""
         super().__init__()
         self.gap_rad, self.arms = math.radians(gap_deg), arms
         self.radius_m, self.side = radius_m, -1.0 if left else 1.0
@@ -37,7 +37,7 @@ class Circle(MapBuilder):
             self.link(f"ring{arm}", f"on{(arm + 1) % arms}", f"ring{(arm + 1) % arms}")
 
     def second_entry(self) -> None:
-        """Let a second lane into "ring0", along its tangent."""
+        """Add a second lane that leads into "ring0" along its tangent."""
         first = self._on_ring(self.gap_rad)
         start = turned(step(turned(first), "S", 25.0, 1.0))
         self._place("tangent", start, "S", 25.0, connector=True)
@@ -84,7 +84,7 @@ def turned(pose: Pose) -> Pose:
 
 
 def first_and_second(net: Any) -> tuple[set[str], set[str]]:
-    """Return the source lanes with and without priority at junctions where ways of two lanes meet."""
+    """Return the source lanes with and without priority at junctions where connections of two lanes meet."""
     first, second = set(), set()
     for node in net.getNodes():
         links = [link for link in node.getConnections() if link.getFrom().getFunction() == ""]
@@ -138,7 +138,7 @@ def test_a_lane_across_the_island_makes_it_none(tmp_path: Path) -> None:
 
 
 def test_a_circle_too_large_is_none(tmp_path: Path) -> None:
-    path = Circle(45.0, left=False).write(tmp_path / "m.json")  # 283 m round
+    path = Circle(45.0, left=False).write(tmp_path / "m.json")  # circumference 283 m
     assert convert_map(path, tmp_path / "m.net.xml").plan.rings == ()
 
 

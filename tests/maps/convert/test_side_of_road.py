@@ -1,4 +1,4 @@
-"""On which side of the road a converted map is driven, where the user does not say."""
+"""Traffic side of a converted map if the user does not state it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def two_streets(side_m: float, location: str = "") -> SourceMap:
         (two_streets(-3.5), None, True, True),
         (two_streets(-3.5), False, False, False),
         (two_streets(-3.5), True, True, False),
-        (two_streets(3.5, "singapore-onenorth"), None, True, False),  # what the place says goes before
+        (two_streets(3.5, "singapore-onenorth"), None, True, False),  # the location decides first
     ],
 )
 def test_by_the_lanes_unless_stated(

@@ -1,4 +1,4 @@
-"""Programs of signals: who has green together, yellow and all-red, worked by hand and on real maps."""
+"""Signal programs: links with green together, yellow and all-red times, computed by hand and on real maps."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_yellow(speed_mps: float, seconds: float) -> None:
     ],
 )
 def test_all_red(direction: Direction, stop_offset_m: float, seconds: float) -> None:
-    """10 m to the way of the foe, 2.2 m across it and 6.1 m of vehicle: 18.3 m at 10 m/s, or at 5 in a turn."""
+    """10 m to the path of the foe, 2.2 m across it and 6.1 m of vehicle: 18.3 m at 10 m/s, or at 5 m/s in a turn."""
     ending = link(0, "a", EAST, direction, foes={1}, stop_offset_m=stop_offset_m)
     assert all_red_s([ending], [link(1, "b", NORTH, foes={0})]) == seconds
 
@@ -90,7 +90,7 @@ def test_no_all_red_for_those_who_do_not_cross() -> None:
 
 
 def crossing_with_a_left_turn(*, own_lane: bool = False) -> list[SignalLink]:
-    """Links 0 and 1 go on and left from "a", 2 comes towards them, 3 crosses all."""
+    """Links 0 and 1 lead straight and left from "a", 2 is oncoming, 3 crosses all."""
     lane = 1 if own_lane else 0
     return [
         link(0, "a", EAST, foes={3}),
@@ -138,12 +138,12 @@ def test_links_that_no_lamp_governs_are_served() -> None:
     ("lights", "states"),
     [
         ({"a": {"one"}, "b": {"one"}}, ["GGr", "rrG"]),  # one road in two edges
-        ({"a": {"one"}, "b": {"other"}}, ["GGr", "rGG"]),  # a road of its own, which nothing crosses
-        ({"a": {"one"}, "c": {"one"}}, ["GGr", "rGG"]),  # one light for ways that cross: never together
+        ({"a": {"one"}, "b": {"other"}}, ["GGr", "rGG"]),  # a separate road without conflicts
+        ({"a": {"one"}, "c": {"one"}}, ["GGr", "rGG"]),  # one light for links that cross: never together
     ],
 )
 def test_edges_that_share_a_light_get_green_together(lights: dict[str, set[str]], states: list[str]) -> None:
-    """Links 0 and 1 run beside each other from edges of their own; 2 crosses link 0 alone."""
+    """Links 0 and 1 run side by side from different edges; 2 crosses only link 0."""
     links = [link(0, "a", EAST, foes={2}), link(1, "b", EAST), link(2, "c", NORTH, foes={0}, yields_to={0})]
     shared = {edge: frozenset(names) for edge, names in lights.items()}
     cycle = stages(links, {}, (), lefthand=False, lights=shared)
@@ -151,7 +151,7 @@ def test_edges_that_share_a_light_get_green_together(lights: dict[str, set[str]]
 
 
 def test_a_turn_under_a_light_that_nobody_crosses_goes_with_its_road() -> None:
-    """Link 0 goes on from "a", 1 turns right under an arrow, 2 crosses link 0 alone; "c" has no light."""
+    """Link 0 leads straight from "a", 1 turns right under an arrow, 2 crosses only link 0; "c" has no light."""
     right = Lamp(frozenset({Direction.RIGHT}), protected=True, exclusive=True)
     links = [
         link(0, "a", EAST, foes={2}),
@@ -165,7 +165,7 @@ def test_a_turn_under_a_light_that_nobody_crosses_goes_with_its_road() -> None:
 
 @pytest.mark.data
 def test_all_lanes_of_a_real_light_get_red(adv_data: Path, tmp_path: Path) -> None:
-    """The middle lane of light 11528 is an edge of its own; left arrow 11522 and right turn 11526 cross nobody."""
+    """The middle lane of light 11528 is a separate edge; left arrow 11522 and right turn 11526 have no conflicts."""
     source = read_map(adv_data / "commonroad/USA_Lanker-1_3_T-1.xml.gz")
     result = convert_source(source, tmp_path / "n.net.xml", crossings="none")
     assert check_signals(result.net) == 2
@@ -185,7 +185,7 @@ def test_all_lanes_of_a_real_light_get_red(adv_data: Path, tmp_path: Path) -> No
     [(("CIRCLE",), {"g"}), (("CIRCLE", "LEFT"), {"g", "G"}), (("CIRCLE", "LEFT", "RED LEFT"), {"G"})],
 )
 def test_arrows_of_a_map_file(shapes: tuple[str, ...], letters: set[str], tmp_path: Path) -> None:
-    """The left turn of the crossroads, with a road that comes towards it."""
+    """The left turn of the crossroads, with an oncoming road."""
     road = crossroads()
     end = road.straight("oncoming", (160.0, 104.0, math.pi), 50.0)
     road.straight("oncoming-on", end, 20.0, connector=True)
@@ -211,7 +211,7 @@ def test_arrows_of_a_map_file(shapes: tuple[str, ...], letters: set[str], tmp_pa
 
 @pytest.mark.slow
 def test_fixed_times_for_the_traffic_of_an_hour(tmp_path: Path) -> None:
-    """Webster: greens follow the traffic, changes stay, and a map without signals is left as it is."""
+    """By Webster's formula, green times follow traffic; yellow and all-red, and nets without signals, do not change."""
     road = crossroads()
     nodes = [road.node(90.0, y) for y in (98.0, 102.0)]
     road.data["line"].append({"token": "line", "node_tokens": nodes})
@@ -256,7 +256,7 @@ def test_a_net_that_the_tools_refuse_is_one_sentence(tmp_path: Path) -> None:
     ],
 )
 def test_real_maps_with_crossings(name: str, least: int, adv_data: Path, tmp_path: Path) -> None:
-    """Without crossings: ``test_hour``."""
+    """``test_hour`` tests the same without crossings."""
     source = read_map(adv_data / name)
     result = convert_source(source, tmp_path / "n.net.xml", guess_signals=True, crossings="guess")
     assert check_signals(result.net) >= least

@@ -1,4 +1,4 @@
-"""Nets against what other people's readers say of the maps: geometry within 2 cm, the same topology, all names."""
+"""Nets agree with third-party readers of the maps: geometry within 2 cm, the same topology, all names."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FILES = [
 
 
 def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str, str]]]:
-    """Return what *net* draws of each lane of the source, and the steps from lane to lane that its ways make."""
+    """Return the lines of *net* for each lane of the source, and the links from lane to lane by its connections."""
     root = ElementTree.fromstring(net.read_bytes())
     source, shape = {}, {}
     for row in root.iter("lane"):
@@ -67,7 +67,7 @@ def drawn(net: Path) -> tuple[dict[str, list[shapely.LineString]], set[tuple[str
 def differences(
     net: Path, truth: dict[str, Any], offset_m: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, list[Any]]:
-    """Return lanes and links that *net* or *truth* alone has, and lanes farther apart than ``NEAR_M``.
+    """Return lanes and links that only *net* or only *truth* has, and lanes farther apart than ``NEAR_M``.
 
     Those of *truth* are moved by *offset_m*.
     """
@@ -96,7 +96,7 @@ def test_net_holds_what_the_outside_reader_sees(
 
 
 def test_net_holds_what_lanelet2_sees(tmp_path: Path) -> None:
-    """Lanelet2 counts from its origin, ours from the corner of the full kilometre; lane 1 begins at UTM_M in both."""
+    """Lanelet2's origin is its own, ours is the corner of the full kilometre; lane 1 begins at UTM_M in both."""
     path = tmp_path / "m.osm"
     path.write_text(small_sources.lanelet2(in_degrees=True), encoding="utf-8")
     truth = read_outside("lanelet2", path)
@@ -131,7 +131,7 @@ def test_net_holds_what_gdal_sees_of_a_city_as_a_nuplan_map(adv_data: Path, tmp_
 
 
 def check_nuplan(path: Path, net: Path) -> None:
-    """GDAL counts from the zone's origin, as we do."""
+    """GDAL's coordinates are relative to the origin of the zone, as ours are."""
     truth = read_outside("nuplan", path)
     convert_source(read_map(path), net)
     assert differences(net, truth) == NONE
@@ -149,7 +149,7 @@ def test_net_holds_what_pyxodr_sees_of_a_city_as_opendrive(adv_data: Path, tmp_p
 
 
 def check_opendrive(path: Path, folder: Path) -> None:
-    """Write the map at *path* as OpenDRIVE, and read that."""
+    """Write the map at *path* as OpenDRIVE, and read the result."""
     convert_source(read_map(path), folder / "m.net.xml", opendrive=True)
     truth = read_outside("opendrive", folder / "m.xodr")
     convert_source(read_map(folder / "m.xodr"), folder / "n.net.xml")

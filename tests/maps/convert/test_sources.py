@@ -1,4 +1,4 @@
-"""Maps of other formats through the one interface: hand-worked values, then genuine files."""
+"""Maps of other formats, read through one interface: values computed by hand, then real files."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_lanelet2_limits_and_lights(tmp_path: Path) -> None:
 def test_lanelet2_light_of_connectors_stops_before_them(
     line: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The light belongs to the connectors 3 and 5, both after lane 2; the map ends where 5 ends, 20 m on."""
+    """The light belongs to connectors 3 and 5, both after lane 2; the map ends at the end of 5, 20 m farther."""
     lanes = {**small_sources.LANES, "5": ([(50.0, 3.5, 0.0), (70.0, 3.5, 0.0)], [], True)}
     monkeypatch.setattr(small_sources, "LANES", lanes)
     rule = '<member type="relation" ref="900" role="regulatory_element"/>'
@@ -135,7 +135,7 @@ def test_lanelet2_light_of_connectors_stops_before_them(
     ],
 )
 def test_lanelet2_units_of_limits(text: str, limit_mps: float | None, tmp_path: Path) -> None:
-    """A mile is 1609.344 m. All four lanelets state the limit; what is not understood is none, and counted."""
+    """A mile is 1609.344 m. All four lanelets state the limit; limits not understood are ignored and counted."""
     path = tmp_path / "m.osm"
     path.write_text(small_sources.lanelet2().replace("36 km/h", text), encoding="utf-8")
     source = read_map(path)
@@ -166,7 +166,7 @@ def test_lanelet2_units_of_limits(text: str, limit_mps: float | None, tmp_path: 
 def test_lanelet2_lines_that_may_be_crossed(
     tags: dict[str, str], dashed: bool, solid: bool, tmp_path: Path
 ) -> None:
-    """The line between lanes 1 and 2, as the table of Lanelet2's LinestringTagging.md has it."""
+    """The line between lanes 1 and 2, by the table in Lanelet2's LinestringTagging.md."""
     given = '<tag k="type" v="line_thin"/><tag k="subtype" v="dashed"/>'
     text = small_sources.lanelet2()
     assert text.count(given) == 1
@@ -180,7 +180,7 @@ def test_lanelet2_lines_that_may_be_crossed(
 
 
 def test_lanelet2_in_degrees(tmp_path: Path) -> None:
-    """One lanelet of 111 m eastwards on the equator; UTM shrinks it there by 0.9996 in the middle of a zone."""
+    """One lanelet of 111 m eastwards on the equator; in the middle of a zone, UTM scales it by 0.9996."""
     nodes = [(9.0, 0.00002), (9.001, 0.00002), (9.0, 0.0), (9.001, 0.0)]
     rows = "".join(f'<node id="{n}" lon="{lon}" lat="{lat}"/>' for n, (lon, lat) in enumerate(nodes, 1))
     rows += '<way id="10"><nd ref="1"/><nd ref="2"/></way><way id="11"><nd ref="3"/><nd ref="4"/></way>'
@@ -199,7 +199,7 @@ def test_nuplan_limits_and_areas(tmp_path: Path) -> None:
 
 
 def test_opendrive(tmp_path: Path) -> None:
-    """The road written as OpenDRIVE by our own exporter: the same places."""
+    """The road written as OpenDRIVE by our own exporter has the same geometry."""
     first = convert_source(
         read_map(small_sources.write("argoverse2", tmp_path)), tmp_path / "n.net.xml", opendrive=True
     )

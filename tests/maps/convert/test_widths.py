@@ -1,4 +1,4 @@
-"""Widths measured on a lane's polygon: hand-worked ones, then a genuine lane wider than any that a net gets."""
+"""Widths measured on a lane's polygon: computed by hand, then a real lane wider than the largest width in a net."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_lane_wider_than_twelve_metres_is_twelve_wide(wide_m: float, width_m: 
 
 
 def test_what_is_wider_and_what_is_no_width_along_a_lane() -> None:
-    """Eleven places, 3.8 m apart from 1 to 39 m: six where the area is 15 m wide, five where it is 0.4."""
+    """Eleven stations, 3.8 m apart from 1 to 39 m: six where the area is 15 m wide, five where it is 0.4 m."""
     area = shapely.union_all([shapely.box(0.0, -7.5, 21.0, 7.5), shapely.box(21.0, -0.2, 40.0, 0.2)])
     profile = width_profile(LINE_M, area)
     assert profile[:, 0] == pytest.approx([1.0, 4.8, 8.6, 12.4, 16.2, 20.0])

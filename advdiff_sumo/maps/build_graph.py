@@ -1,4 +1,4 @@
-"""Turns the elements of a net file into lanes, links, edges and junctions."""
+"""Builds lanes, links, edges and junctions from the XML elements of a net file."""
 
 from __future__ import annotations
 
@@ -17,21 +17,23 @@ from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link
 from advdiff_sumo.maps.read_net import RawNet, leaving_lanes, marked_requests, shape_of
 
 DEFAULT_LANE_WIDTH_M = 3.2
-"""SUMO's width of a lane that states none (SUMO_const_laneWidth)."""
+"""SUMO's lane width where the net states none (SUMO_const_laneWidth)."""
 
 _STUB_M = 0.01
+"""Length given to a lane that is drawn as a single point."""
 _SIDE_MARGIN_M = 0.3
+"""Smallest lateral offset that shows on which side of another lane a lane lies."""
 
 
 @dataclass(frozen=True)
 class LaneGraph:
-    """Everything of a net that is not area.
+    """The lanes, edges, junctions and links of a net.
 
     Attributes:
-        lanes: by id, internal ones included.
-        edges: by id, internal ones included.
-        junctions: by id.
-        links: by (from lane, to lane), neither of them internal.
+        lanes: lane id → lane, internal ones included.
+        edges: edge id → edge, internal ones included.
+        junctions: junction id → junction.
+        links: (from lane, to lane) → link; neither lane is internal.
     """
 
     lanes: Mapping[str, Lane]
@@ -44,21 +46,23 @@ def build_graph(raw: RawNet) -> LaneGraph:
     """Return the lane graph of *raw*.
 
     Raises:
-        NetError: an element lacks an attribute or holds a malformed value, or motor vehicles have no lane.
+        NetError: an element lacks an attribute or has a malformed value, or no lane is open to motor vehicles.
     """
     try:
         junctions = {name: _junction(element) for name, element in raw.junctions.items()}
         successors = _links(raw, junctions)
-        groups = {
+        edge_lanes = {
             name: _lanes_of(name, element, raw.lefthand, successors) for name, element in raw.edges.items()
         }
     except (KeyError, ValueError, IndexError) as error:
         problem = f"holds an element with a missing or malformed value ({error})"
         raise NetError(raw.path, problem, "write it anew with netconvert") from None
-    lanes = {lane.id: lane for group in groups.values() for lane in group}
-    _refuse_useless(raw, lanes)
+    lanes = {lane.id: lane for own_lanes in edge_lanes.values() for lane in own_lanes}
+    _refuse_unusable(raw, lanes)
     lanes = _with_directions(lanes)
-    edges = {name: _edge(name, raw.edges[name], [lanes[x.id] for x in groups[name]]) for name in groups}
+    edges = {
+        name: _edge(name, raw.edges[name], [lanes[x.id] for x in edge_lanes[name]]) for name in edge_lanes
+    }
     links = {
         (link.from_lane, link.to_lane): link
         for lane in lanes.values()
@@ -68,7 +72,7 @@ def build_graph(raw: RawNet) -> LaneGraph:
     return LaneGraph(lanes, edges, junctions, links)
 
 
-def _refuse_useless(raw: RawNet, lanes: Mapping[str, Lane]) -> None:
+def _refuse_unusable(raw: RawNet, lanes: Mapping[str, Lane]) -> None:
     if not any(lane.is_drivable and not lane.is_internal for lane in lanes.values()):
         raise NetError(raw.path, "has no lane that is open to motor vehicles", "give another net")
     for lane in lanes.values():
@@ -83,7 +87,7 @@ def _refuse_useless(raw: RawNet, lanes: Mapping[str, Lane]) -> None:
 
 @lru_cache(maxsize=256)
 def permissions(allow: str | None, disallow: str | None) -> frozenset[str]:
-    """Return the vehicle classes that SUMO's ``allow`` and ``disallow`` leave; with neither, all."""
+    """Return the vehicle classes that a lane's ``allow`` and ``disallow`` permit; all if both are absent."""
     if allow is not None and allow.strip() != "all":
         return frozenset(allow.split())
     if disallow is None:
@@ -113,16 +117,16 @@ def _junction(element: ET.Element) -> Junction:
 def _lanes_of(
     edge_id: str, edge: ET.Element, lefthand: bool, successors: Mapping[str, Sequence[Link]]
 ) -> list[Lane]:
-    """Return the edge's lanes by index."""
+    """Return the lanes of an edge, ordered by index."""
     elements = sorted(edge.iterfind("lane"), key=lambda e: int(e.attrib["index"]))
     names = [element.attrib["id"] for element in elements]
     centres = [_centre(element) for element in elements]
     left: dict[str, str] = {}
     right: dict[str, str] = {}
-    for low in range(len(names) - 1):
-        is_left = _is_left_of(centres[low + 1], centres[low], lefthand)
-        on_left, on_right = (low + 1, low) if is_left else (low, low + 1)
-        left[names[on_right]], right[names[on_left]] = names[on_left], names[on_right]
+    for i in range(len(names) - 1):
+        is_left = _is_left_of(centres[i + 1], centres[i], lefthand)
+        left_row, right_row = (i + 1, i) if is_left else (i, i + 1)
+        left[names[right_row]], right[names[left_row]] = names[left_row], names[right_row]
     return [
         _lane(edge_id, element, centre, (left.get(name), right.get(name)), successors.get(name, ()))
         for name, element, centre in zip(names, elements, centres, strict=True)
@@ -130,14 +134,17 @@ def _lanes_of(
 
 
 def _is_left_of(upper: FloatArray, lower: FloatArray, lefthand: bool) -> bool:
-    """Return whether the lane of the higher index lies left of the other, by shape where that is clear."""
+    """Return whether the lane with the higher index (*upper*) lies left of the one with the lower index.
+
+    The centre lines (P, 2) decide. If they are too close together, the side of the road that the net drives on does.
+    """
     if len(upper) > 1 and len(lower) > 1:
         (x0, y0), (x1, y1), (x, y) = lower[0], lower[1], upper[0]
         ahead_x, ahead_y = x1 - x0, y1 - y0
         d = (ahead_x * (y - y0) - ahead_y * (x - x0)) / np.hypot(ahead_x, ahead_y)
-        if abs(d) <= _SIDE_MARGIN_M:  # they start together: look half-way
-            other = Polyline.of(upper)
-            _, d = Polyline.of(lower).project(other.at(0.5 * other.length_m)[0])
+        if abs(d) <= _SIDE_MARGIN_M:  # both start at the same point: compare them half-way
+            upper_line = Polyline.of(upper)
+            _, d = Polyline.of(lower).project(upper_line.at(0.5 * upper_line.length_m)[0])
         if abs(d) > _SIDE_MARGIN_M:
             return bool(d > 0.0)
     return not lefthand
@@ -154,7 +161,7 @@ def _lane(
     edge_id: str,
     element: ET.Element,
     centre: FloatArray,
-    beside: tuple[str | None, str | None],
+    neighbours: tuple[str | None, str | None],
     successors: Sequence[Link],
 ) -> Lane:
     step = centre[1:] - centre[:-1]
@@ -170,37 +177,39 @@ def _lane(
         sumo_length_m=float(element.get("length", length)),
         is_internal=edge_id.startswith(":"),
         allows=permissions(element.get("allow"), element.get("disallow")),
-        left_id=beside[0],
-        right_id=beside[1],
+        left_id=neighbours[0],
+        right_id=neighbours[1],
         successors=tuple(successors),
     )
 
 
 def _with_directions(lanes: Mapping[str, Lane]) -> dict[str, Lane]:
-    """Give lanes that are drawn as one point a centimetre of length, along the lane that leads to them."""
-    leading: dict[str, Lane] = {}
+    """Give lanes that are drawn as a single point a length of 1 cm, in the direction of a lane that leads to them."""
+    predecessors: dict[str, Lane] = {}
     for lane in lanes.values():
         for link in lane.successors:
-            for follower in (*link.via, link.to_lane):
-                leading.setdefault(follower, lane)
+            for successor in (*link.via, link.to_lane):
+                predecessors.setdefault(successor, lane)
     fixed = dict(lanes)
     for lane in lanes.values():
         if len(lane.centre_xy_m) < 2:
-            before = leading.get(lane.id)
-            known = before is not None and len(before.centre_xy_m) > 1
-            tangent = before.line.tangents[-1] if before is not None and known else np.array([1.0, 0.0])
+            previous = predecessors.get(lane.id)
+            has_direction = previous is not None and len(previous.centre_xy_m) > 1
+            tangent = (
+                previous.line.tangents[-1] if previous is not None and has_direction else np.array([1.0, 0.0])
+            )
             centre = np.vstack((lane.centre_xy_m, lane.centre_xy_m + _STUB_M * tangent))
             fixed[lane.id] = replace(lane, centre_xy_m=centre, length_m=_STUB_M)
     return fixed
 
 
 def _links(raw: RawNet, junctions: Mapping[str, Junction]) -> dict[str, list[Link]]:
-    """Return the links from each lane; those whose second half the net lists apart are joined."""
+    """Return the links from each lane. A link with two internal lanes is listed as two connections; they are joined."""
     outgoing = leaving_lanes(raw.connections)
-    second = {origin: first for origin, (first, *_) in outgoing.items() if origin.startswith(":")}
-    numbers = _request_numbers(junctions, raw.counted)
+    second_halves = {origin: first for origin, (first, *_) in outgoing.items() if origin.startswith(":")}
+    request_numbers = _request_numbers(junctions, raw.counted)
     return {
-        origin: [_link(origin, c, raw, second, numbers) for c in connections]
+        origin: [_link(origin, c, raw, second_halves, request_numbers) for c in connections]
         for origin, connections in outgoing.items()
     }
 
@@ -209,35 +218,35 @@ def _link(
     origin: str,
     connection: ET.Element,
     raw: RawNet,
-    second: Mapping[str, ET.Element],
-    numbers: Mapping[int, int],
+    second_halves: Mapping[str, ET.Element],
+    request_numbers: Mapping[int, int],
 ) -> Link:
     via: list[str] = []
-    step: ET.Element | None = connection
-    while step is not None and (internal := step.get("via")) and internal not in via:
+    half: ET.Element | None = connection
+    while half is not None and (internal := half.get("via")) and internal not in via:
         via.append(internal)
-        step = second.get(internal)
+        half = second_halves.get(internal)
     edge = raw.edges[connection.attrib["from"]]
-    light, index = connection.get("tl"), int(connection.get("linkIndex", "-1"))
-    controlled = bool(light) and index >= 0  # −1: the light stands there and leaves this connection alone
+    tls_id, tls_index = connection.get("tl"), int(connection.get("linkIndex", "-1"))
+    is_controlled = bool(tls_id) and tls_index >= 0  # −1: the traffic light does not control this connection
     return Link(
         from_lane=origin,
         to_lane=f"{connection.attrib['to']}_{connection.attrib['toLane']}",
         via=tuple(via),
         direction=connection.get("dir", "s"),
-        tls_id=light if controlled else None,
-        tls_index=index if controlled else None,
+        tls_id=tls_id if is_controlled else None,
+        tls_index=tls_index if is_controlled else None,
         state=connection.get("state", "M"),
         junction_id=edge.get("to") or junction_of_internal(origin),
-        request_index=numbers.get(id(connection), -1),
+        request_index=request_numbers.get(id(connection), -1),
     )
 
 
 def _request_numbers(junctions: Mapping[str, Junction], counted: Iterable[ET.Element]) -> dict[int, int]:
-    """Return the request index of each connection element (by its identity).
+    """Return ``id(connection element)`` → its request index.
 
-    SUMO numbers the links of a junction lane by lane in the order of ``incLanes``, each lane's connections in
-    file order; those over crossings come last.
+    SUMO numbers the links of a junction lane by lane in the order of ``incLanes``. The connections of a lane are
+    numbered in file order. Those over pedestrian crossings come last.
     """
     leaving = leaving_lanes(counted)
     numbers: dict[int, int] = {}
@@ -250,14 +259,14 @@ def _request_numbers(junctions: Mapping[str, Junction], counted: Iterable[ET.Ele
 
 
 def junction_of_internal(lane_or_edge_id: str) -> str:
-    """Return the junction that an internal lane ":J_0_0" lies on."""
+    """Return the id of the junction that an internal lane, such as ":J_0_0", lies on."""
     return lane_or_edge_id[1:].rsplit("_", 2)[0]
 
 
 def _edge(name: str, element: ET.Element, lanes: Sequence[Lane]) -> Edge:
-    internal = element.get("function") == "internal"
-    junction = name[1:].rsplit("_", 1)[0] if internal else ""
-    onward = {link.to_lane.rsplit("_", 1)[0]: None for lane in lanes for link in lane.successors}
+    is_internal = element.get("function") == "internal"
+    junction = name[1:].rsplit("_", 1)[0] if is_internal else ""
+    successor_ids = {link.to_lane.rsplit("_", 1)[0]: None for lane in lanes for link in lane.successors}
     return Edge(
         id=name,
         lane_ids=tuple(lane.id for lane in lanes),
@@ -265,7 +274,7 @@ def _edge(name: str, element: ET.Element, lanes: Sequence[Lane]) -> Edge:
         to_junction=element.get("to") or junction,
         length_m=float(np.mean([lane.length_m for lane in lanes])),
         speed_mps=max(lane.speed_mps for lane in lanes),
-        is_internal=internal,
+        is_internal=is_internal,
         priority=int(element.get("priority", "-1")),
-        successors=tuple(onward),
+        successors=tuple(successor_ids),
     )

@@ -1,4 +1,4 @@
-"""The drivable area: where a vehicle may be without having left the road."""
+"""Builds the drivable area, outside of which a vehicle has left the road, and answers queries about it."""
 
 from __future__ import annotations
 
@@ -14,43 +14,45 @@ from shapely.geometry.base import BaseGeometry
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.maps.lanes import Junction, Lane
 
-_ROUND_M = 0.05
+_SEAM_M = 0.05
+"""Half the width of the gaps between lanes that are closed."""
 _TILE_POINTS = 48
+"""Tiles with at most this many points are not split further."""
 _TILE_M = 5.0
+"""Tiles of at most this extent are not split further."""
 
 
 def area_of_lanes(lanes: Iterable[Lane], junctions: Mapping[str, Junction]) -> BaseGeometry:
-    """Return the union of carriageway lanes (centre lines widened, ends flat) and junction outlines.
+    """Return the union of the carriageway lanes (centre lines widened, with flat ends) and the junction outlines.
 
-    Lanes that only bicycles may use count where their edge has a lane for motor vehicles; sidewalks and rails
-    do not. Seams narrower than a few centimetres are closed.
+    A lane for bicycles only belongs to it if its edge has a lane for motor vehicles. Sidewalks and rails do not.
+    Gaps of a few centimetres are closed.
     """
     lanes = list(lanes)
-    roads = {lane.edge_id for lane in lanes if lane.is_drivable}
+    road_edges = {lane.edge_id for lane in lanes if lane.is_drivable}
     parts: list[BaseGeometry] = [
         shapely.LineString(lane.centre_xy_m).buffer(0.5 * lane.width_m, cap_style="flat", join_style="round")
         for lane in lanes
-        if lane.is_drivable or (lane.edge_id in roads and "bicycle" in lane.allows)
+        if lane.is_drivable or (lane.edge_id in road_edges and "bicycle" in lane.allows)
     ]
-    reached = {lane.edge_id: None for lane in lanes if lane.is_drivable}
     parts += [
         shapely.make_valid(Polygon(junction.shape_xy_m))
         for junction in junctions.values()
         if len(junction.shape_xy_m) >= 3
-        and any(lane.rsplit("_", 1)[0] in reached for lane in junction.incoming_lanes)
+        and any(lane.rsplit("_", 1)[0] in road_edges for lane in junction.incoming_lanes)
     ]
-    area = shapely.union_all(parts).buffer(_ROUND_M, join_style="mitre").buffer(-_ROUND_M, join_style="mitre")
+    area = shapely.union_all(parts).buffer(_SEAM_M, join_style="mitre").buffer(-_SEAM_M, join_style="mitre")
     if shapely.is_valid(area):
         return area
-    # the end of a road whose junction has no extent: a line, of which the buffers leave a ring that crosses itself
+    # a junction without extent is a line; buffering it may leave a ring that crosses itself
     return shapely.make_valid(area, method="structure", keep_collapsed=False)
 
 
 class DrivableArea:
-    """Fast questions about one (multi)polygon.
+    """A drivable area with spatial indices for fast queries.
 
     Attributes:
-        geometry: the area, prepared.
+        geometry: the area, as a prepared (multi)polygon.
     """
 
     def __init__(self, geometry: BaseGeometry) -> None:
@@ -67,7 +69,7 @@ class DrivableArea:
         return tuple(shapely.get_coordinates(ring) for ring in shapely.get_rings(parts))
 
     def smooth_rings(self) -> tuple[FloatArray, ...]:
-        """Return the rings with points that lie within 5 cm of a simpler outline left out."""
+        """Return the boundary rings, simplified with a tolerance of 5 cm."""
         parts = shapely.get_parts(shapely.simplify(self.geometry, 0.05))
         return tuple(
             shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.orient_polygons(parts))
@@ -75,8 +77,8 @@ class DrivableArea:
 
     @cached_property
     def _edges(self) -> shapely.STRtree:
-        pairs = [np.stack((ring[:-1], ring[1:]), axis=1) for ring in self.rings]
-        return shapely.STRtree(geometries(shapely.linestrings(np.concatenate(pairs))))
+        segments = [np.stack((ring[:-1], ring[1:]), axis=1) for ring in self.rings]
+        return shapely.STRtree(geometries(shapely.linestrings(np.concatenate(segments))))
 
     @cached_property
     def _tiles(self) -> tuple[shapely.STRtree, NDArray[np.object_]]:
@@ -97,36 +99,36 @@ class DrivableArea:
         share[~finite] = np.nan
         boxes = geometries(shapely.polygons(corners_m[finite]))
         rows = np.flatnonzero(finite)
-        partly = ~shapely.covers(self.geometry, boxes)
-        rows, boxes = rows[partly], boxes[partly]
+        is_partly_off = ~shapely.covers(self.geometry, boxes)
+        rows, boxes = rows[is_partly_off], boxes[is_partly_off]
         if len(rows):
             tree, tiles = self._tiles
             box, tile = tree.query(boxes, predicate="intersects")
-            inside = shapely.area(shapely.intersection(boxes[box], tiles[tile]))
-            covered = np.bincount(box, weights=inside, minlength=len(rows))
-            area = np.maximum(shapely.area(boxes), 1e-12)
-            share[rows] = np.clip(1.0 - covered / area, 0.0, 1.0)
+            shared_m2 = shapely.area(shapely.intersection(boxes[box], tiles[tile]))
+            covered_m2 = np.bincount(box, weights=shared_m2, minlength=len(rows))
+            area_m2 = np.maximum(shapely.area(boxes), 1e-12)
+            share[rows] = np.clip(1.0 - covered_m2 / area_m2, 0.0, 1.0)
         return share
 
     def edge_distance_m(self, xy_m: FloatArray) -> FloatArray:
         """Return the distance (N,) of points (N, 2) to the boundary, positive inside; NaN for NaN."""
-        distance = np.full(len(xy_m), np.nan)
+        signed_m = np.full(len(xy_m), np.nan)
         finite = np.isfinite(xy_m).all(axis=1)
         points = geometries(shapely.points(xy_m[finite]))
-        (row, _), away = self._edges.query_nearest(points, return_distance=True, all_matches=False)
+        (row, _), found_m = self._edges.query_nearest(points, return_distance=True, all_matches=False)
         distance_m = np.full(len(points), np.nan)
-        distance_m[row] = away
-        distance[finite] = np.where(self.covers(xy_m[finite]), distance_m, -distance_m)
-        return distance
+        distance_m[row] = found_m
+        signed_m[finite] = np.where(self.covers(xy_m[finite]), distance_m, -distance_m)
+        return signed_m
 
 
 def geometries(shapes: object) -> NDArray[np.object_]:
-    """Return what a shapely constructor made as an array (N,), for one geometry too."""
+    """Return the result of a shapely constructor as an array (N,), also if it is a single geometry."""
     return np.atleast_1d(np.asarray(shapes, dtype=np.object_))
 
 
 def _split(part: BaseGeometry, tiles: list[BaseGeometry]) -> None:
-    """Append *part* to *tiles*, halved across its longer side until each piece has few corners."""
+    """Halve *part* across its longer side until each piece is small or has few points; append the pieces to *tiles*."""
     pending = [part]
     while pending:
         piece = pending.pop()
@@ -136,8 +138,8 @@ def _split(part: BaseGeometry, tiles: list[BaseGeometry]) -> None:
         if piece.is_empty or piece.area <= 0.0:
             continue
         x0, y0, x1, y1 = piece.bounds
-        small = max(x1 - x0, y1 - y0) <= _TILE_M
-        if small or shapely.get_num_coordinates(piece) <= _TILE_POINTS:
+        is_small = max(x1 - x0, y1 - y0) <= _TILE_M
+        if is_small or shapely.get_num_coordinates(piece) <= _TILE_POINTS:
             tiles.append(piece)
             continue
         if x1 - x0 >= y1 - y0:

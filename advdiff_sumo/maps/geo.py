@@ -1,4 +1,4 @@
-"""Longitude and latitude of a net's points, where the net carries a projection."""
+"""Converts a net's coordinates to longitude and latitude, if the net states its projection."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from advdiff_sumo.maps.read_net import Location
 
 
 class Projection:
-    """From a net's metres to WGS84 degrees, after its ``location`` element."""
+    """Converts a net's metres to WGS84 degrees, by the net's ``location`` element."""
 
     def __init__(self, location: Location) -> None:
         self._location = location
 
     @property
     def proj4(self) -> str | None:
-        """PROJ string whose metres are the net's own; None without a projection or where the net is moved from it."""
+        """PROJ string whose metres are the net's own; None without a projection or if the net has an offset from it."""
         return None if np.any(self._location.offset_xy_m) else self._location.proj
 
     @cached_property
@@ -30,5 +30,5 @@ class Projection:
         """Return longitude and latitude (…, 2) in degrees of *xy_m* (…, 2); None without a projection."""
         if self._proj is None:
             return None
-        raw = np.asarray(xy_m, dtype=np.float64) - self._location.offset_xy_m
-        return np.stack(self._proj(raw[..., 0], raw[..., 1], inverse=True), axis=-1)
+        projected_m = np.asarray(xy_m, dtype=np.float64) - self._location.offset_xy_m
+        return np.stack(self._proj(projected_m[..., 0], projected_m[..., 1], inverse=True), axis=-1)

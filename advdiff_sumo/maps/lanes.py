@@ -1,4 +1,4 @@
-"""The values a road map is made of: lanes, links, edges, junctions, poses on lanes; arrays are read-only."""
+"""Defines the parts of a road map: lanes, links, edges, junctions and poses on lanes; arrays are read-only."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from advdiff_sumo.core.polylines import Polyline
 
 @dataclass(frozen=True)
 class Link:
-    """One connection of two lanes over a junction.
+    """A connection of two lanes over a junction.
 
     Attributes:
-        from_lane: where it begins; an internal lane when this is the second half of a connection.
-        to_lane: the lane beyond the junction, never internal.
-        via: internal lanes in driving order: none, one, or two when there is a waiting position.
-        direction: SUMO's letter: s straight, l left, r right, L and R partly so, t turn-round (T where one drives on
-            the left).
-        tls_id: traffic light that controls it.
-        tls_index: position in that light's state string.
+        from_lane: lane at which it begins; an internal lane if this is the second half of a connection.
+        to_lane: lane beyond the junction; never internal.
+        via: internal lanes in driving order: none, one, or two if there is a waiting position inside the junction.
+        direction: SUMO's letter: s straight, l left, r right, L partially left, R partially right, t turn-round,
+            T turn-round in left-hand traffic.
+        tls_id: traffic light that controls it; None without one.
+        tls_index: position in that light's state string; None without one.
         state: SUMO's letter: M major, m minor, = equal, s stop, w all-way stop, Z zipper, o and O light off.
-        junction_id: where.
-        request_index: row of the junction's right-of-way matrix; −1 when the net has none for it.
+        junction_id: the junction.
+        request_index: row in the junction's right-of-way matrix; −1 if the net has no row for it.
     """
 
     from_lane: str
@@ -41,21 +41,25 @@ class Link:
 
     @property
     def turns_round(self) -> bool:
-        """Whether it leads back."""
+        """Whether it is a U-turn."""
         return self.direction in ("t", "T")
 
     @property
     def yields(self) -> bool:
-        """Whether the sign says to give way (minor road, stop, all-way stop, equal roads)."""
+        """Whether traffic on it must yield by the sign (minor road, stop, all-way stop, equal roads)."""
         return self.state in "mws="
 
     @property
     def must_wait(self) -> bool:
-        """Whether the sign says to give way whoever comes, not only to some by the rule of the junction."""
+        """Whether traffic on it must yield to all others by the sign; on equal roads the side decides to whom."""
         return self.yields and self.state != "="
 
     def signal(self, signals: Mapping[str, str]) -> str:
-        """Return the letter of its light in *signals* (traffic light → states); "" without one or when unknown."""
+        """Return the state letter of its traffic light; "" without a light or if its state is unknown.
+
+        Args:
+            signals: traffic light id → state string.
+        """
         states = signals.get(self.tls_id, "") if self.tls_id is not None else ""
         index = self.tls_index
         return states[index] if index is not None and index < len(states) else ""
@@ -63,21 +67,21 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One lane, internal lanes of junctions included (their id starts with a colon).
+    """A lane of an edge, or an internal lane of a junction (whose id starts with a colon).
 
     Attributes:
         id: SUMO's id.
         edge_id: the edge it belongs to.
-        index: number in its edge, from the rightmost in right-hand nets, from the leftmost in left-hand nets.
+        index: number in its edge, counted from the rightmost lane (from the leftmost in left-hand nets).
         centre_xy_m: (P, 2) centre line in driving direction, P ≥ 2 distinct points.
         width_m: width.
         speed_mps: speed limit.
         length_m: length of the centre line.
-        sumo_length_m: length that SUMO drives, which the net may set apart from the drawn one.
+        sumo_length_m: length that SUMO uses; the net may state one that differs from that of the centre line.
         is_internal: whether it lies on a junction.
         allows: vehicle classes that may use it.
-        left_id: neighbour to the driver's left on the same edge.
-        right_id: neighbour to the driver's right.
+        left_id: neighbour to the driver's left on the same edge; None without one.
+        right_id: neighbour to the driver's right on the same edge; None without one.
         successors: connections from its end.
     """
 
@@ -99,36 +103,36 @@ class Lane:
         read_only(self.centre_xy_m)
 
     def permits(self, vclass: str | None) -> bool:
-        """Return whether *vclass* may drive here; None asks for any road motor vehicle."""
+        """Return whether the class *vclass* may use the lane; None: whether any road motor vehicle may."""
         if vclass is None:
             return self.is_drivable
         return vclass in self.allows
 
     @cached_property
     def is_drivable(self) -> bool:
-        """Whether some road motor vehicle may drive here."""
+        """Whether at least one class of road motor vehicles may use the lane."""
         return not self.allows.isdisjoint(SUMO_ROAD_MOTOR_CLASSES)
 
     @cached_property
     def line(self) -> Polyline:
-        """The centre line with arc length."""
+        """The centre line, with arc lengths."""
         return Polyline.of(self.centre_xy_m)
 
 
 @dataclass(frozen=True)
 class Edge:
-    """Lanes side by side.
+    """A street in one direction: parallel lanes between two junctions.
 
     Attributes:
         id: SUMO's id.
-        lane_ids: lanes by index.
-        from_junction: where it begins; for an internal edge, the junction it lies on.
-        to_junction: where it ends.
+        lane_ids: its lanes, ordered by index.
+        from_junction: junction at which it begins; for an internal edge, the junction it lies on.
+        to_junction: junction at which it ends; for an internal edge, the junction it lies on.
         length_m: mean length of its centre lines.
         speed_mps: highest speed limit of its lanes.
         is_internal: whether it lies on a junction.
-        priority: SUMO's priority, higher goes first.
-        successors: edges that some lane leads to, without internal ones.
+        priority: SUMO's priority; the higher one has the right of way.
+        successors: non-internal edges that at least one of its lanes leads to.
     """
 
     id: str
@@ -144,16 +148,17 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Junction:
-    """A node of the net with its right-of-way matrix.
+    """A junction with its right-of-way matrix. A request is a row of that matrix and belongs to one link.
 
     Attributes:
         id: SUMO's id.
         type: SUMO's word: priority, traffic_light, right_before_left, allway_stop, dead_end, …
         xy_m: (2,) position.
         shape_xy_m: (K, 2) outline; empty for dead ends without one.
-        foes: request index → requests whose paths cross or merge.
+        foes: request index → requests whose paths cross its path or merge with it.
         response: request index → requests that it must yield to.
-        incoming_lanes: lanes that end here, and walking areas before a crossing, which `LaneGraph.lanes` has not.
+        incoming_lanes: lanes that end here. Includes the walking areas before crossings, which `LaneGraph.lanes`
+            does not contain.
     """
 
     id: str
@@ -169,7 +174,7 @@ class Junction:
         read_only(self.shape_xy_m)
 
     def yields_to(self, link: Link) -> frozenset[int]:
-        """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""
+        """Return the requests that traffic on *link* must yield to by the right-of-way matrix, signals ignored."""
         return self.response.get(link.request_index, frozenset())
 
 
@@ -179,9 +184,9 @@ class LanePose:
 
     Attributes:
         lane_id: the lane.
-        s_m: distance along its centre line.
-        d_m: distance to the left of the centre line.
-        yaw_error_rad: heading minus the lane's heading, in (−π, π]; 0 when no heading was given.
+        s_m: arc length along its centre line.
+        d_m: lateral offset from the centre line, left positive.
+        yaw_error_rad: heading minus the lane's heading, in (−π, π]; 0 if no heading was given.
     """
 
     lane_id: str

@@ -1,4 +1,4 @@
-"""Speed limits of the law: what SUMO sets for the bends of a junction is none."""
+"""Derives the legal speed limit of each lane; the speeds that SUMO states for bends on junctions are none."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from advdiff_sumo.maps.lanes import Lane, Link
 
 
 def legal_limits_mps(lanes: Mapping[str, Lane], links: Iterable[Link]) -> dict[str, float]:
-    """Return lane → its speed limit; on a junction the highest of its own and of the lanes before and behind.
+    """Return lane id → legal speed limit in m/s.
 
-    A net's internal lanes have the speed at which a bend can be driven, which is no limit of the law.
+    The speed that a net states for an internal lane is the one at which its bend can be driven, not a legal limit.
+    An internal lane gets the highest of that speed and the limits of the lanes before and after the junction.
 
     Args:
-        lanes: by name.
+        lanes: lane id → lane.
         links: connections of the net.
     """
-    limits = {name: lane.speed_mps for name, lane in lanes.items()}
+    limits_mps = {name: lane.speed_mps for name, lane in lanes.items()}
     for link in links:
-        ends = max(lanes[link.from_lane].speed_mps, lanes[link.to_lane].speed_mps)
+        highest_mps = max(lanes[link.from_lane].speed_mps, lanes[link.to_lane].speed_mps)
         for via in link.via:
-            limits[via] = max(limits[via], ends)
-    return limits
+            limits_mps[via] = max(limits_mps[via], highest_mps)
+    return limits_mps

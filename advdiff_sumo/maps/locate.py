@@ -1,4 +1,4 @@
-"""Finds lanes near points: an index over the segments of all centre lines."""
+"""Finds the lanes near given points or poses with a spatial index over all centre lines."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from advdiff_sumo.maps.drivable import geometries
 from advdiff_sumo.maps.lanes import Lane, LanePose
 
 SIGMA_DISTANCE_M = 1.0
-"""Spread of the distance to the true centre line, in the cost of a candidate."""
+"""Standard deviation of the distance to the centre line of the correct lane, in the cost of a candidate."""
 SIGMA_YAW_RAD = 0.5
-"""Spread of the heading against the true lane's."""
+"""Standard deviation of the heading error against the correct lane, in the cost of a candidate."""
 OFF_ROUTE_COST = 9.0
-"""Cost of leaving the given route: as much as three metres to the side."""
+"""Cost of a lane off the given route; equals that of a lateral offset of 3 m."""
 _COST_ROUNDING = 1e-6
-"""More than costs are rounded by where they are compared."""
+"""Margin in cost that exceeds the rounding of costs before they are compared."""
 
 
 @dataclass(frozen=True)
 class LaneCandidates:
-    """Lanes near points: C rows, each the nearest place of one lane to one point, sorted by point.
+    """C pairs of a point and a lane near it, sorted by point.
 
     Attributes:
         point: (C,) index of the point.
         lane: (C,) index of the lane in :attr:`LaneIndex.lane_ids`.
-        s_m: (C,) distance along the lane.
-        d_m: (C,) signed distance, left positive; beyond an end the distance to the end point.
-        yaw_rad: (C,) heading of the lane there.
+        s_m: (C,) arc length of the lane's position that is nearest to the point.
+        d_m: (C,) signed distance from it, left positive; beyond an end of the lane, the distance to the end point.
+        yaw_rad: (C,) heading of the lane at it.
     """
 
     point: IntArray
@@ -45,14 +45,14 @@ class LaneCandidates:
     yaw_rad: FloatArray
 
     def rows(self, keep: BoolArray | IntArray) -> LaneCandidates:
-        """Return the rows *keep* (indices or mask)."""
+        """Return the candidates that *keep* (indices or a mask) selects."""
         return LaneCandidates(
             self.point[keep], self.lane[keep], self.s_m[keep], self.d_m[keep], self.yaw_rad[keep]
         )
 
 
 class LaneIndex:
-    """Spatial index over the centre lines of *lanes*."""
+    """Spatial index over the centre lines of L lanes (lane id → lane), by their segments."""
 
     def __init__(self, lanes: Mapping[str, Lane]) -> None:
         self.lane_ids: tuple[str, ...] = tuple(lanes)
@@ -96,9 +96,9 @@ class LaneIndex:
         return np.array([lane.permits(vclass) for lane in self._lanes.values()])
 
     def candidates(self, xy_m: FloatArray, radius_m: float) -> LaneCandidates:
-        """Return the nearest place of every lane within *radius_m* of each point *xy_m* (N, 2).
+        """Return the nearest position on every lane within *radius_m* of each point *xy_m* (N, 2).
 
-        Points that hold NaN have none. Rows are sorted by point, then lane.
+        Points with NaN have none. Candidates are sorted by point, then lane.
         """
         finite = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
         points = shapely.points(xy_m[finite])
@@ -107,21 +107,21 @@ class LaneIndex:
         delta = xy_m[point] - self._start[segment]
         tangent = self._tangent[segment]
         along = np.clip((delta * tangent).sum(-1), 0.0, self._step[segment])
-        apart = delta - along[:, None] * tangent
-        distance = np.hypot(apart[:, 0], apart[:, 1])
+        offset = delta - along[:, None] * tangent
+        distance = np.hypot(offset[:, 0], offset[:, 1])
         lane = self._lane_of[segment]
         # at a corner two segments are equally near: take the later one, like Polyline.segment_at
         order = np.lexsort((-segment, np.round(distance, 9), lane, point))
-        first = np.ones(len(order), dtype=np.bool_)
-        first[1:] = (np.diff(point[order]) != 0) | (np.diff(lane[order]) != 0)
-        best = order[first]
-        cross = tangent[best, 0] * apart[best, 1] - tangent[best, 1] * apart[best, 0]
+        is_nearest = np.ones(len(order), dtype=np.bool_)
+        is_nearest[1:] = (np.diff(point[order]) != 0) | (np.diff(lane[order]) != 0)
+        row = order[is_nearest]
+        cross = tangent[row, 0] * offset[row, 1] - tangent[row, 1] * offset[row, 0]
         return LaneCandidates(
-            point=point[best],
-            lane=lane[best],
-            s_m=self._s0[segment[best]] + along[best],
-            d_m=np.copysign(distance[best], cross),
-            yaw_rad=self._yaw[segment[best]],
+            point=point[row],
+            lane=lane[row],
+            s_m=self._s0[segment[row]] + along[row],
+            d_m=np.copysign(distance[row], cross),
+            yaw_rad=self._yaw[segment[row]],
         )
 
     def best(
@@ -132,17 +132,17 @@ class LaneIndex:
         allowed: BoolArray,
         on_route: BoolArray | None = None,
     ) -> LaneCandidates:
-        """Return at most one candidate for each point: that of the least cost.
+        """Return for each point the candidate of least cost; none for a point without a permitted lane nearby.
 
-        The cost is a sum of squares: distance over :data:`SIGMA_DISTANCE_M`, heading error over
-        :data:`SIGMA_YAW_RAD`, and :data:`OFF_ROUTE_COST` off the route. Ties go to the lane listed first.
+        The cost is (distance / :data:`SIGMA_DISTANCE_M`)² + (heading error / :data:`SIGMA_YAW_RAD`)², plus
+        :data:`OFF_ROUTE_COST` off the route. Of equal costs the lane listed first is taken.
 
         Args:
             xy_m: (N, 2) points.
-            yaw_rad: (N,) headings, or None to go by distance alone.
-            radius_m: farthest lane.
-            allowed: (L,) lanes that may be chosen.
-            on_route: (L,) lanes of the vehicle's route, or None.
+            yaw_rad: (N,) headings; None: only the distance counts.
+            radius_m: largest distance of a lane.
+            allowed: (L,) mask of the lanes that may be chosen.
+            on_route: (L,) mask of the lanes of the vehicle's route; None: without a route.
         """
         candidates = self.candidates(xy_m, radius_m)
         candidates = candidates.rows(allowed[candidates.lane])
@@ -150,28 +150,30 @@ class LaneIndex:
         if on_route is not None:
             cost = cost + np.where(on_route[candidates.lane], 0.0, OFF_ROUTE_COST)
         order = np.lexsort((candidates.lane, np.round(cost, 9), candidates.point))
-        first = np.ones(len(order), dtype=np.bool_)
-        first[1:] = np.diff(candidates.point[order]) != 0
-        return candidates.rows(order[first])
+        is_cheapest = np.ones(len(order), dtype=np.bool_)
+        is_cheapest[1:] = np.diff(candidates.point[order]) != 0
+        return candidates.rows(order[is_cheapest])
 
     def on_lane(
         self, xy_m: FloatArray, yaw_rad: FloatArray, radius_m: float, allowed: BoolArray
     ) -> BoolArray:
-        """Return (N,) which points are within the width of the lane that :meth:`best` gives for them.
+        """Return (N,) whether each point is within the width of the lane that :meth:`best` returns for it.
 
-        Near the middle of a lane that is certain without a look at all lanes around: one of less cost is no farther.
+        Most points need a search only within half the narrowest lane's width. A candidate there that costs less than
+        that distance alone is the best of all lanes, as any cheaper lane would have to be within it too.
         Arguments as in :meth:`best`.
         """
-        half = 0.5 * self.width_m
-        narrowest = float(half[allowed].min(initial=radius_m))
-        near = self.best(xy_m, yaw_rad, narrowest, allowed)
-        out = np.zeros(len(xy_m), dtype=np.bool_)
-        out[near.point] = candidate_cost(near, yaw_rad) < (narrowest / SIGMA_DISTANCE_M) ** 2 - _COST_ROUNDING
-        left = np.flatnonzero(~out)
-        if len(left):
-            best = self.best(xy_m[left], yaw_rad[left], radius_m, allowed)
-            out[left[best.point]] = np.abs(best.d_m) <= half[best.lane]
-        return out
+        half_width_m = 0.5 * self.width_m
+        narrowest_m = float(half_width_m[allowed].min(initial=radius_m))
+        near = self.best(xy_m, yaw_rad, narrowest_m, allowed)
+        is_on_lane = np.zeros(len(xy_m), dtype=np.bool_)
+        certain_cost = (narrowest_m / SIGMA_DISTANCE_M) ** 2 - _COST_ROUNDING
+        is_on_lane[near.point] = candidate_cost(near, yaw_rad) < certain_cost
+        rest = np.flatnonzero(~is_on_lane)
+        if len(rest):
+            best = self.best(xy_m[rest], yaw_rad[rest], radius_m, allowed)
+            is_on_lane[rest[best.point]] = np.abs(best.d_m) <= half_width_m[best.lane]
+        return is_on_lane
 
     @cached_property
     def _lanes_of_edge(self) -> Mapping[str, list[Lane]]:
@@ -182,19 +184,24 @@ class LaneIndex:
         return dict(lanes)
 
     def route_mask(self, route: Sequence[str]) -> BoolArray:
-        """Return (L,) whether each lane lies on *route*: its edges and the internal lanes between them."""
+        """Return (L,) whether each lane belongs to the edges of *route* or to the internal lanes between them."""
         mask = np.zeros(len(self.lane_ids), dtype=np.bool_)
-        pairs = set(pairwise(route))
+        edge_pairs = set(pairwise(route))
         for lane in (lane for edge in set(route) for lane in self._lanes_of_edge.get(edge, ())):
             mask[self.row[lane.id]] = True
             for link in lane.successors:
-                if (lane.edge_id, self._lanes[link.to_lane].edge_id) in pairs:
+                if (lane.edge_id, self._lanes[link.to_lane].edge_id) in edge_pairs:
                     mask[[self.row[x] for x in link.via if x in self.row]] = True
         return mask
 
 
 def candidate_cost(candidates: LaneCandidates, yaw_rad: FloatArray | None) -> FloatArray:
-    """Return the cost (C,) of *candidates* against the headings *yaw_rad* (N,) of the points."""
+    """Return the cost (C,) of each candidate, without that of the route.
+
+    Args:
+        candidates: C pairs of points and lanes.
+        yaw_rad: (N,) headings of the points; None: only the distance counts.
+    """
     cost = (candidates.d_m / SIGMA_DISTANCE_M) ** 2
     if yaw_rad is None:
         return cost
@@ -203,7 +210,7 @@ def candidate_cost(candidates: LaneCandidates, yaw_rad: FloatArray | None) -> Fl
 
 
 def poses_of(index: LaneIndex, candidates: LaneCandidates, yaw_rad: FloatArray | None) -> list[LanePose]:
-    """Return *candidates* as values; the heading error is 0 where no heading was given."""
+    """Return *candidates* as lane poses; the heading errors are 0 if no headings (N,) were given."""
     error = (
         np.zeros(len(candidates.lane))
         if yaw_rad is None

@@ -1,4 +1,4 @@
-"""What a file is that was given as a net and is none, and the command that makes a net of it."""
+"""Recognises map files and folders that were given as a net, and names the command that converts them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, unpacked
 
 _ROOT = re.compile(rb"<([A-Za-z]\w*)")
-_HEAD_BYTES = 1 << 16
+_HEAD_BYTES = 1 << 16  # the root element is sought in these
 _LANELET = re.compile(rb"""v\s*=\s*["']lanelet["']""")
 _JSON_MAPS = (
     (b'"lane_segments"', "an Argoverse 2 map"),
@@ -20,14 +20,15 @@ _JSON_MAPS = (
 _XML_MAPS = {b"OpenDRIVE": "an OpenDRIVE map", b"commonRoad": "a CommonRoad scenario"}
 _ENDINGS = (".gz", ".xml", ".json", ".pkl", ".osm", ".xodr", ".gpkg")
 EXTRACT = "an OpenStreetMap extract"
+"""The kind of OpenStreetMap files, as used in messages."""
 _BY_ENDING = {".pkl": "a ScenarioNet record", ".gpkg": "a nuPlan map"}
 
 
 def map_error(path: Path) -> NetError | None:
-    """Return the error for an HD map or an OpenStreetMap extract that was given as a net; None for other files.
+    """Return the error for an HD map or OpenStreetMap extract that was given as a net; None for other files.
 
     Args:
-        path: a file that is no SUMO net.
+        path: a file that is not a SUMO net.
     """
     kind = _kind(path)
     if kind is None:
@@ -37,7 +38,7 @@ def map_error(path: Path) -> NetError | None:
 
 
 def extract_command(path: Path) -> str:
-    """Return the command that makes a net of an OpenStreetMap extract."""
+    """Return the command that converts an OpenStreetMap extract into a net."""
     return f"netconvert --osm-files {_given_and_net(path)}"
 
 
@@ -56,6 +57,7 @@ def folder_error(path: Path) -> NetError:
 
 
 def _kind(path: Path) -> str | None:
+    """Return the kind of map that *path* holds, by its ending or its content; None if it is no known map."""
     ending = Path(path.name.removesuffix(".gz")).suffix
     if ending in _BY_ENDING:
         return _BY_ENDING[ending]
@@ -73,7 +75,7 @@ def _kind(path: Path) -> str | None:
 
 
 def map_name(path: Path) -> str:
-    """Return the name of a map's file without endings; dots within it stay, as in records of Waymo."""
+    """Return the name of a map's file without known endings; other dots are kept, as in names of Waymo records."""
     name = path.name
     for ending in _ENDINGS:
         name = name.removesuffix(ending)

@@ -1,4 +1,4 @@
-"""Where lanes of the two directions of a street lie beside each other, and on which side one drives by that."""
+"""Measures the offset between lanes of opposite directions, and infers on which side of the road traffic drives."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.polylines import Polyline
 
 BODY_M = 1.8
-"""Width of a car: nearer centre lines cannot both be driven at once."""
-_ABREAST_M = 6.0  # farthest lane of the other direction that counts as beside one
-_OPPOSITE_RAD = 0.9 * np.pi
-_SURE_SHARE, _FEWEST_LANES = 0.8, 4  # of the lanes that have one of the other direction beside them
+"""Width of a car: vehicles cannot drive abreast on centre lines that are closer than this."""
+_ABREAST_M = 6.0  # largest distance of a lane of the other direction
+_OPPOSITE_RAD = 0.9 * np.pi  # smallest difference of heading between the two
+_SURE_SHARE = 0.8  # share of these lanes that must agree on the side of the road
+_FEWEST_LANES = 4  # fewest lanes from which the side of the road is inferred
 
 
 def from_opposite_m(lines: Sequence[Polyline]) -> FloatArray:
-    """Return how far to the left of the nearest lane of the other direction each lane lies.
+    """Return the lateral offset of each lane from the nearest lane of the other direction.
 
     Args:
         lines: N centre lines, in driving direction.
 
     Returns:
-        (N,) metres at the middle of each lane, right negative; NaN where none is within 6 m.
+        (N,) metres to the left of the other lane, in its driving direction; right negative. Measured at the middle
+        of each lane. NaN if no lane of the other direction is within 6 m.
     """
     tree = shapely.STRtree([shapely.LineString(line.xy_m) for line in lines])
     return np.array([_from_nearest_m(line, lines, tree) for line in lines])
@@ -33,20 +35,20 @@ def from_opposite_m(lines: Sequence[Polyline]) -> FloatArray:
 
 def _from_nearest_m(line: Polyline, lines: Sequence[Polyline], tree: shapely.STRtree) -> float:
     xy_m, yaw_rad = line.at(0.5 * line.length_m)
-    nearest = np.nan
+    nearest_m = np.nan
     for row in np.sort(tree.query(shapely.Point(xy_m), predicate="dwithin", distance=_ABREAST_M)):
         s_m, d_m = lines[row].project(xy_m)
-        turned_rad = abs(wrap_angle(lines[row].at(s_m)[1] - yaw_rad))
-        if turned_rad > _OPPOSITE_RAD and not abs(d_m) >= abs(nearest):
-            nearest = float(d_m)
-    return nearest
+        difference_rad = abs(wrap_angle(lines[row].at(s_m)[1] - yaw_rad))
+        if difference_rad > _OPPOSITE_RAD and not abs(d_m) >= abs(nearest_m):
+            nearest_m = float(d_m)
+    return nearest_m
 
 
 def keeps_left(opposite_m: FloatArray) -> bool | None:
-    """Return whether traffic keeps left; None where the lanes do not tell.
+    """Return whether traffic drives on the left; None if the lanes leave it open.
 
     Args:
-        opposite_m: (N,) what :func:`from_opposite_m` says of the lanes.
+        opposite_m: (N,) result of :func:`from_opposite_m`.
     """
     beside_m = opposite_m[np.abs(opposite_m) >= BODY_M]
     if len(beside_m) < _FEWEST_LANES:

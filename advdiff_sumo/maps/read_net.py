@@ -1,8 +1,7 @@
-"""Reads a SUMO net file into plain values, in one pass.
+"""Reads the XML elements of a SUMO net file.
 
-sumolib's reader leaves out what is needed here (left-hand driving, a check that the file is a net at all) and
-keeps the right-of-way rows private, so the elements are read directly; the tests hold the result against
-sumolib's. External entities are refused (defusedxml).
+sumolib's reader cannot be used: it ignores left-hand traffic, does not check that the file is a net, and keeps the
+right-of-way matrix private. The tests compare the result with sumolib's. External entities are refused (defusedxml).
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ from advdiff_sumo.maps.not_a_net import map_error
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
 BEYOND_TYPE = "beyond_rim"
-"""Type of the edges that lead from where a clipped map ends to where it begins; nothing is measured on them."""
+"""Type of the edges that lead vehicles from the exits of a clipped map back to its entries; they are not measured."""
 _KEPT_FUNCTIONS = ("", "normal", "internal")
 
 
 @dataclass(frozen=True)
 class Location:
-    """How the net's metres relate to the globe.
+    """The geographic reference of a net.
 
     Attributes:
-        offset_xy_m: (2,) added to projected coordinates.
-        proj: PROJ string, or None when the net has no projection.
+        offset_xy_m: (2,) offset that was added to the projected coordinates.
+        proj: PROJ string; None if the net has no projection.
     """
 
     offset_xy_m: FloatArray
@@ -43,18 +42,19 @@ class Location:
 
 @dataclass(frozen=True)
 class RawNet:
-    """The elements of a net file that a road map needs, still XML.
+    """The XML elements of a net file that a road map needs. Edges beyond the rim: see :data:`BEYOND_TYPE`.
 
     Attributes:
         path: the file.
         lefthand: whether traffic drives on the left.
-        location: how the metres relate to the globe.
-        edges: id → element with its lanes; crossings and walking areas are left out.
-        junctions: id → element with its requests; internal junctions and those beyond the rim are left out.
-        connections: elements in file order, those of crossings and walking areas left out.
-        counted: the same with those to and from edges beyond the rim, which have rows in the right of way, too.
-        pedestrian_shapes: id → outline (K, 2) of crossings (as a line) and walking areas.
-        beyond_rim: ids of the edges beyond the rim, ways to and from them among them, which are in none of these.
+        location: geographic reference.
+        edges: id → element with its lanes; without crossings and walking areas.
+        junctions: id → element with its requests; without internal junctions and those beyond the rim.
+        connections: elements in file order, without those of crossings and walking areas.
+        counted: *connections* and those to and from edges beyond the rim, which have right-of-way rows too.
+        pedestrian_shapes: id → shape (K, 2): the centre line of a crossing, the outline of a walking area.
+        beyond_rim: ids of the edges beyond the rim and of the internal edges to and from them. The other fields,
+            apart from *counted*, do not contain them.
     """
 
     path: Path
@@ -72,14 +72,15 @@ def read_raw_net(path: Path) -> RawNet:
     """Return the elements of the net at *path* (plain or gzipped).
 
     Raises:
-        NetError: the file is missing, unreadable, truncated or no SUMO net; of a map with the command that converts it.
+        NetError: the file is missing, unreadable, truncated or no SUMO net; for an HD map, the error names the
+            command that converts it.
     """
     try:
         root = read_root(path, "net", "a SUMO net")
     except NetError as error:
         raise map_error(path) or error from None
     edges: dict[str, ET.Element] = {}
-    pedestrian: dict[str, FloatArray] = {}
+    pedestrian_shapes: dict[str, FloatArray] = {}
     beyond = ids_beyond(root)
     for edge in root.iterfind("edge"):
         lane = edge.find("lane")
@@ -88,9 +89,11 @@ def read_raw_net(path: Path) -> RawNet:
         if edge.get("function", "") in _KEPT_FUNCTIONS and lane is not None:
             edges[edge.get("id", "")] = edge
         elif edge.get("function") in ("crossing", "walkingarea") and lane is not None:
-            pedestrian[edge.get("id", "")] = read_only(shape_of(lane))
-    known = edges.keys() | beyond
-    counted = [c for c in root.iterfind("connection") if c.get("from") in known and c.get("to") in known]
+            pedestrian_shapes[edge.get("id", "")] = read_only(shape_of(lane))
+    known_ids = edges.keys() | beyond
+    counted = [
+        c for c in root.iterfind("connection") if c.get("from") in known_ids and c.get("to") in known_ids
+    ]
     return RawNet(
         path=path,
         lefthand=root.get("lefthand", "false").lower() in ("true", "1"),
@@ -99,7 +102,7 @@ def read_raw_net(path: Path) -> RawNet:
         junctions=_junctions(root, beyond, edges),
         connections=tuple(c for c in counted if c.get("from") in edges and c.get("to") in edges),
         counted=tuple(counted),
-        pedestrian_shapes=pedestrian,
+        pedestrian_shapes=pedestrian_shapes,
         beyond_rim=frozenset(beyond),
     )
 
@@ -107,16 +110,16 @@ def read_raw_net(path: Path) -> RawNet:
 def _junctions(
     root: ET.Element, beyond: Collection[str], edges: Mapping[str, ET.Element]
 ) -> dict[str, ET.Element]:
-    """Return the junctions of a net by name, without those at which only edges *beyond* the rim meet."""
-    rows = {j.get("id", ""): j for j in root.iterfind("junction") if j.get("type") != "internal"}
+    """Return id → junction, without internal junctions and those at which only edges *beyond* the rim meet."""
+    junctions = {j.get("id", ""): j for j in root.iterfind("junction") if j.get("type") != "internal"}
     if not beyond:
-        return rows
-    on_map = {edge.get(end) for edge in edges.values() for end in ("from", "to")}
-    return {name: row for name, row in rows.items() if name in on_map}
+        return junctions
+    end_ids = {edge.get(end) for edge in edges.values() for end in ("from", "to")}
+    return {name: junction for name, junction in junctions.items() if name in end_ids}
 
 
 def leaving_lanes(connections: Iterable[ET.Element]) -> defaultdict[str, list[ET.Element]]:
-    """Return lane → its *connections*, in their order; none for other lanes."""
+    """Return lane id → the *connections* that leave it, in the given order; an empty list for other lanes."""
     leaving = defaultdict[str, list[ET.Element]](list)
     for connection in connections:
         leaving[f"{connection.attrib['from']}_{connection.attrib['fromLane']}"].append(connection)
@@ -124,19 +127,24 @@ def leaving_lanes(connections: Iterable[ET.Element]) -> defaultdict[str, list[ET
 
 
 def ids_beyond(root: ET.Element) -> set[str]:
-    """Return the edges beyond the rim of a net (:data:`BEYOND_TYPE`), ways to and from them among them."""
+    """Return the ids of the edges beyond the rim (:data:`BEYOND_TYPE`) and of the internal edges to and from them."""
     edges = {edge.get("id", "") for edge in root.iterfind("edge") if edge.get("type") == BEYOND_TYPE}
     if not edges:
         return edges
-    ways = [c for c in root.iterfind("connection") if c.get("from") in edges or c.get("to") in edges]
-    return edges | {c.get("via", "").rpartition("_")[0] for c in ways}
+    connections = [c for c in root.iterfind("connection") if c.get("from") in edges or c.get("to") in edges]
+    return edges | {c.get("via", "").rpartition("_")[0] for c in connections}
 
 
 def read_root(path: Path, tag: str, what: str) -> ET.Element:
-    """Return the root element of the XML file at *path* (gzipped or not), which must be named *tag*.
+    """Return the root element of an XML file.
+
+    Args:
+        path: the file, gzipped or not.
+        tag: required name of the root element.
+        what: description of such a file, for messages.
 
     Raises:
-        NetError: with one sentence that says what is wrong with the file.
+        NetError: the file is missing, unreadable or damaged, or its root element has another name.
     """
     try:
         root = _parse(path)
@@ -166,12 +174,12 @@ def _parse(path: Path) -> ET.Element:
 
 
 def marked_requests(row: str) -> frozenset[int]:
-    """Return the requests with a one in a *row* of foes or responses; SUMO writes index 0 rightmost."""
+    """Return the indices of the ones in a *row* of foes or responses; SUMO writes index 0 rightmost."""
     return frozenset(index for index, bit in enumerate(reversed(row)) if bit == "1")
 
 
 def shape_of(element: ET.Element) -> FloatArray:
-    """Return the ``shape`` of *element* as (P, 2) points, heights dropped; (0, 2) when it has none."""
+    """Return the ``shape`` of *element* as points (P, 2) without heights; (0, 2) if it has none."""
     points = [point.split(",")[:2] for point in element.get("shape", "").split()]
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 

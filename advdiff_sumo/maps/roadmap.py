@@ -1,4 +1,4 @@
-"""The one map of the package: a SUMO net and its drivable area, whatever the net came from."""
+"""The road map that the whole package uses: a SUMO net with its drivable area."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ from advdiff_sumo.maps.sidecar import read_sidecar, sidecar_of
 from advdiff_sumo.maps.vector_map import PieceTable, build_pieces
 
 MAX_LANE_DISTANCE_M = 5.0
-"""Farthest centre line that :meth:`RoadMap.locate` accepts unless told otherwise."""
+"""Default of :meth:`RoadMap.locate` for the largest distance of a centre line."""
 _KEPT_FINDERS = 256
+"""Number of path finders that are cached, one for each route and vehicle class."""
 
 
 class RoadMap:
     """Lanes, links, junctions, areas and routes of one SUMO net; treat it as immutable.
 
-    Build it with :meth:`read`. Indices and areas are made on first use and kept. Coordinates are the net's metres
-    (x east, y north), headings in radians counter-clockwise from east.
+    Build it with :meth:`read`. Indices and areas are built on first use and cached. Coordinates are in metres in the
+    net's frame (x east, y north), headings in radians counter-clockwise from east.
     """
 
     def __init__(self, raw: RawNet, graph: LaneGraph, drivable: BaseGeometry | None) -> None:
@@ -54,7 +55,7 @@ class RoadMap:
         self._edge_graphs: dict[str | None, EdgeGraph] = {}
         self._allowed: dict[str | None, BoolArray] = {}
         self._matchers: dict[str | None, RouteMatcher] = {}
-        self._finder = lru_cache(maxsize=_KEPT_FINDERS)(partial(PathFinder, self.lanes, self.edges))
+        self._path_finder = lru_cache(maxsize=_KEPT_FINDERS)(partial(PathFinder, self.lanes, self.edges))
         self._piece_tables: dict[MapView, PieceTable] = {}
 
     @classmethod
@@ -63,11 +64,11 @@ class RoadMap:
 
         Args:
             net_path: a SUMO net.
-            sidecar: its drivable area; by default NAME.poly.xml beside NAME.net.xml, where there is one.
-                Without a side-car the area is that of the lanes and junctions.
+            sidecar: file with its drivable area; by default NAME.poly.xml beside NAME.net.xml, if that exists.
+                Without a side-car the area is the union of lanes and junctions.
 
         Raises:
-            NetError: a file is missing, truncated or of another kind, or no lane is open to motor vehicles.
+            NetError: a file is missing, truncated or of a wrong kind, or no lane is open to motor vehicles.
         """
         path = Path(net_path)
         raw = read_raw_net(path)
@@ -91,7 +92,7 @@ class RoadMap:
 
     @cached_property
     def area(self) -> DrivableArea:
-        """The drivable area with its indices."""
+        """The drivable area with its spatial indices."""
         given = self._given_area
         area = area_of_lanes(self.lanes.values(), self.junctions) if given is None else given
         return DrivableArea(area)
@@ -102,19 +103,19 @@ class RoadMap:
         return self.area.geometry
 
     def covers(self, xy_m: FloatArray) -> BoolArray:
-        """Return whether points (…, 2) lie in the drivable area; NaN does not."""
+        """Return (…) whether points (…, 2) lie in the drivable area; False for NaN."""
         return self.area.covers(np.asarray(xy_m, dtype=np.float64))
 
     def off_road_share(self, corners_m: FloatArray) -> FloatArray:
-        """Return the share (N,), 0 to 1, of each box (N, 4, 2) off the drivable area; NaN for NaN."""
+        """Return the share (N,), 0 to 1, of each box (N, 4, 2) that is off the drivable area; NaN for NaN."""
         return self.area.off_road_share(np.asarray(corners_m, dtype=np.float64))
 
     def drivable_edge_distance(self, xy_m: FloatArray) -> FloatArray:
-        """Return the distance (N,) of points (N, 2) to the road's edge in metres, positive on the road."""
+        """Return the distance (N,) in metres of points (N, 2) from the road's edge, positive on the road."""
         return self.area.edge_distance_m(np.asarray(xy_m, dtype=np.float64))
 
     def lonlat(self, xy_m: FloatArray) -> FloatArray | None:
-        """Return longitude and latitude (…, 2) in degrees; None when the net has no projection."""
+        """Return longitude and latitude (…, 2) in degrees; None if the net has no projection."""
         return self.projection.lonlat(xy_m)
 
     # --- lanes near poses --------------------------------------------------------------------------------
@@ -125,7 +126,7 @@ class RoadMap:
         return LaneIndex(self.lanes)
 
     def near(self, xy_m: FloatArray, radius_m: float = 30.0) -> list[LanePose]:
-        """Return the nearest place of every lane within *radius_m* of one point (2,), nearest first.
+        """Return the nearest position on every lane within *radius_m* of a point (2,), the nearest lane first.
 
         Heading errors are 0. Lanes closed to all motor vehicles are left out.
         """
@@ -143,15 +144,15 @@ class RoadMap:
         route: Sequence[str] | None = None,
         internal: bool = True,
     ) -> LanePose | None:
-        """Return the lane that a pose most likely belongs to, or None when no lane is near.
+        """Return the most likely lane of a pose and the position on it; None if no lane is near.
 
         Args:
-            xy_m: (2,) point, for a vehicle the centre of its box.
-            yaw_rad: its heading, weighed against the lane's; None to go by distance alone.
+            xy_m: (2,) point; for a vehicle the centre of its box.
+            yaw_rad: its heading, which is compared with the lane's; None: only the distance counts.
             vclass: only lanes open to this class; None: to any road motor vehicle.
-            max_distance_m: farthest centre line.
-            route: edges whose lanes, and the internal lanes between them, are preferred.
-            internal: whether lanes on junctions count.
+            max_distance_m: largest distance of a centre line.
+            route: edges that are preferred, with the internal lanes between them; None: no preference.
+            internal: whether internal lanes may be returned.
         """
         yaw = None if yaw_rad is None else np.array([yaw_rad], dtype=np.float64)
         on_route = None if route is None else self.index.route_mask(route)
@@ -170,7 +171,7 @@ class RoadMap:
         max_distance_m: float = MAX_LANE_DISTANCE_M,
         route: Sequence[str] | None = None,
     ) -> tuple[list[str | None], FloatArray, FloatArray, FloatArray]:
-        """Locate N poses at once: lane ids (None where no lane is near), s, d and heading errors (NaN there).
+        """Locate N poses at once.
 
         Args:
             xy_m: (N, 2) points.
@@ -178,6 +179,9 @@ class RoadMap:
             vclass: as in :meth:`locate`.
             max_distance_m: as in :meth:`locate`.
             route: as in :meth:`locate`.
+
+        Returns:
+            N lane ids, arc lengths (N,), lateral offsets (N,) and heading errors (N,); None and NaN if no lane is near.
         """
         xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
         yaw = None if yaw_rad is None else np.asarray(yaw_rad, dtype=np.float64)
@@ -192,16 +196,16 @@ class RoadMap:
         return ids, s, d, error
 
     def on_lane(self, xy_m: FloatArray, yaw_rad: FloatArray) -> BoolArray:
-        """Return (N,) which poses (N, 2), (N,) are within the width of the lane that :meth:`locate_many` gives."""
+        """Return (N,) whether poses (N, 2), (N,) are within the width of the lane that :meth:`locate_many` returns."""
         return self.index.on_lane(xy_m, yaw_rad, MAX_LANE_DISTANCE_M, self._open_to(None))
 
     def to_world(
         self, lane_id: str, s_m: FloatArray | float, d_m: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return points (…, 2) and headings (…,) at *s_m* along a lane, *d_m* to its left.
+        """Return points (…, 2) and headings (…,) at arc lengths *s_m* on a lane, offset by *d_m* to its left.
 
-        ``s`` is clamped to the lane. Within a straight piece this undoes :meth:`locate` exactly; in the
-        outer wedge of a bend (s at the corner, d ≠ 0) the next piece's normal is taken.
+        *s_m* is clamped to the lane. On a straight segment this is the exact inverse of :meth:`locate`. At a corner of
+        the centre line, the normal of the next segment is used.
         """
         return self.lanes[lane_id].line.at(s_m, d_m)
 
@@ -212,58 +216,58 @@ class RoadMap:
 
     @cached_property
     def legal_limits_mps(self) -> Mapping[str, float]:
-        """Lane → the speed that the law allows; on a junction that of the lanes before and behind."""
+        """Lane id → legal speed limit; on a junction, at least that of the lanes before and after it."""
         return legal_limits_mps(self.lanes, self.links.values())
 
     # --- routes ------------------------------------------------------------------------------------------
 
     def edge_graph(self, vclass: str | None = "passenger") -> EdgeGraph:
-        """Return which edges lead to which for *vclass* (None: any road motor vehicle)."""
+        """Return the graph of edges that *vclass* may use (None: that any road motor vehicle may use)."""
         if vclass not in self._edge_graphs:
             self._edge_graphs[vclass] = EdgeGraph.of(self._graph, vclass)
         return self._edge_graphs[vclass]
 
     @cached_property
     def link_over(self) -> Mapping[str, Link]:
-        """The connection over its junction that each internal lane belongs to."""
+        """Internal lane id → the link that it is part of."""
         return {lane: link for link in self.links.values() for lane in link.via}
 
     def yields_to(self, link: Link) -> frozenset[int]:
-        """Return the requests that who takes *link* must yield to by the net's rows; signals may say otherwise."""
+        """Return the requests that traffic on *link* must yield to by the right-of-way matrix, signals ignored."""
         junction = self.junctions.get(link.junction_id)
         return frozenset() if junction is None else junction.yields_to(link)
 
     def foes_of(self, link: Link) -> frozenset[int]:
-        """Return the requests of those whose way crosses or joins that of *link*, by the net's rows."""
+        """Return the requests whose paths cross that of *link* or merge with it, by the right-of-way matrix."""
         junction = self.junctions.get(link.junction_id)
         return frozenset() if junction is None else junction.foes.get(link.request_index, frozenset())
 
     def must_yield(self, link: Link, other: Link) -> bool:
-        """Return whether who takes *link* must yield to who takes *other*; of other junctions nobody does."""
+        """Return whether traffic on *link* must yield to traffic on *other*; False for links of different junctions."""
         return link.junction_id == other.junction_id and other.request_index in self.yields_to(link)
 
     def route(self, from_edge: str, to_edge: str, vclass: str = "passenger") -> tuple[str, ...] | None:
-        """Return the quickest route by speed limits, both edges included; None when there is none."""
+        """Return the fastest route at the speed limits, with both edges; None if there is no route."""
         return self.edge_graph(vclass).fastest(from_edge, to_edge)
 
     def random_route(
         self, from_edge: str, min_length_m: float, rng: np.random.Generator, vclass: str = "passenger"
     ) -> tuple[str, ...]:
-        """Return a route from *from_edge* that goes on for *min_length_m* beyond it, or to a dead end.
+        """Return a random route from *from_edge* that ends at least *min_length_m* beyond it, or at a dead end.
 
-        The draw depends on *rng* alone. () when *vclass* may not drive on *from_edge*.
+        It is drawn from *rng* only. Returns () if *vclass* may not use *from_edge*.
         """
         return self.edge_graph(vclass).random(from_edge, min_length_m, rng)
 
     def match_route(
         self, xy_m: FloatArray, yaw_rad: FloatArray, vclass: str | None = None
     ) -> tuple[str, ...] | None:
-        """Return the edges that a trajectory drove, internal ones left out; None when it is on no road.
+        """Return the edges that a trajectory drove along, without internal ones; None if it is not on a road.
 
         Args:
             xy_m: (T, 2) positions in time order; rows with NaN are skipped.
             yaw_rad: (T,) headings.
-            vclass: lanes to consider; None: those of any road motor vehicle.
+            vclass: only lanes open to this class; None: to any road motor vehicle.
         """
         if vclass not in self._matchers:
             self._matchers[vclass] = RouteMatcher(self._graph, self.index, self._open_to(vclass))
@@ -279,26 +283,26 @@ class RoadMap:
         start_s_m: float = 0.0,
         vclass: str | None = "passenger",
     ) -> list[LanePath]:
-        """Return what one drives along *route* from *start_lane*, and from the lanes beside it, without changes.
+        """Return the paths along *route* without lane changes, from *start_lane* and from the lanes parallel to it.
 
-        The first path is that of *start_lane* itself. [] when it is not on the route.
+        The first path is that of *start_lane* itself. Returns [] if *start_lane* is not on the route.
 
         Args:
             route: edges from the present one on, without internal ones.
             start_lane: lane of the route, or an internal lane between two of its edges.
-            horizon_m: length after which paths are cut.
-            start_s_m: where on the lane the paths begin.
+            horizon_m: length after which paths are cut off.
+            start_s_m: arc length on the lane at which the paths begin.
             vclass: vehicle class.
 
         Raises:
-            KeyError: the route names an edge that the net does not have.
+            KeyError: the route contains an edge that the net does not have.
         """
-        return self._finder(tuple(route), vclass).paths(start_lane, start_s_m, horizon_m)
+        return self._path_finder(tuple(route), vclass).paths(start_lane, start_s_m, horizon_m)
 
     # --- pieces ------------------------------------------------------------------------------------------
 
     def pieces(self, view: MapView = "near") -> PieceTable:
-        """Return the map as learned models with this *view* see it; made on first use."""
+        """Return the map pieces for learned models that use this *view*; built on first use."""
         if view not in self._piece_tables:
             rings, links = self.area.smooth_rings(), self.links.values()
             self._piece_tables[view] = build_pieces(
@@ -307,7 +311,7 @@ class RoadMap:
         return self._piece_tables[view]
 
     def edge_of(self, lane_id: str) -> str:
-        """Return the edge of a lane; of an internal one, the edge that it leads to."""
+        """Return the edge of a lane; for an internal lane, the edge that it leads to."""
         lane = self.lanes[lane_id]
         while lane.is_internal and lane.successors:
             lane = self.lanes[lane.successors[0].to_lane]

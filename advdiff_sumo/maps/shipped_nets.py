@@ -1,4 +1,4 @@
-"""Where nets are: the ones that ship with the package by name, others by path."""
+"""Finds net files: shipped nets by name, others by path."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from advdiff_sumo.core.errors import FileError, NetError
 from advdiff_sumo.maps.not_a_net import folder_error
 
 SHIPPED_NETS = ("downtown", "downtown-left", "motorway")
-"""What benches, training windows and sweeps take where no net is named."""
+"""Default nets of benches, training windows and sweeps."""
 NETS_BY_NAME = (*SHIPPED_NETS, "downtown-people")
-"""All nets that ship with the package; ``downtown-people`` is the downtown with crossings and sidewalks."""
+"""All shipped nets; ``downtown-people`` is ``downtown`` with crossings and sidewalks."""
 
 
 def find_net(net: str) -> Path:
-    """Return the file behind a path or the name of a shipped net.
+    """Return the file of a net that is given by path or by the name of a shipped net.
 
     Raises:
         NetError: there is no such file.
@@ -30,12 +30,12 @@ def find_net(net: str) -> Path:
 
 
 def net_name(net: str) -> str:
-    """Return *net* as it is written down: a shipped net by name, another one by its full path."""
+    """Return *net* as it is recorded: a shipped net by its name, any other one by its absolute path."""
     return net if net in NETS_BY_NAME else str(Path(net).resolve())
 
 
 def shipped_networks() -> Path:
-    """Return the folder of the nets that ship with the package.
+    """Return the folder of the shipped nets.
 
     Raises:
         FileError: the installation lacks them.

@@ -1,4 +1,4 @@
-"""Reads the drivable-area side-car NAME.poly.xml that stands beside a net."""
+"""Reads the drivable area of a net from the file NAME.poly.xml beside it (its side-car)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from advdiff_sumo.maps.read_net import base_name, read_root, shape_of
 AREA_TYPE = "drivable_area"
 HOLE_TYPE = "drivable_area_hole"
 _SAME_M2 = 1e-3
+"""Areas that differ by less are equal."""
 
 
 def sidecar_of(net_path: Path) -> Path | None:
-    """Return the side-car beside *net_path* (gzipped or not), or None."""
+    """Return the side-car beside *net_path*, gzipped or not; None if there is none."""
     for suffix in (".poly.xml", ".poly.xml.gz"):
         path = net_path.with_name(base_name(net_path) + suffix)
         if path.is_file():
@@ -28,9 +29,9 @@ def sidecar_of(net_path: Path) -> Path | None:
 
 
 def read_sidecar(path: Path) -> BaseGeometry | None:
-    """Return the union of the drivable areas of *path* less their holes; None when it holds no such polygon.
+    """Return the union of the drivable areas in *path* without their holes; None if the file has no drivable area.
 
-    An area that lies within a hole, such as a car park in a ring of streets, is no part of that hole.
+    A hole does not remove an area that lies within it, such as a car park inside a ring of streets.
 
     Raises:
         NetError: the file cannot be read, is no SUMO additional file, or holds a malformed shape.
@@ -54,7 +55,9 @@ def read_sidecar(path: Path) -> BaseGeometry | None:
 
 
 def _less_holes(area: BaseGeometry, holes: Sequence[BaseGeometry]) -> BaseGeometry:
-    """Return *area* without those of the *holes* that it does not lie in."""
-    shared = shapely.area(shapely.intersection(area, holes)) if holes else np.zeros(0)
-    cut = [hole for hole, m2 in zip(holes, shared.tolist(), strict=True) if 0.0 < m2 < area.area - _SAME_M2]
+    """Return *area* without the *holes* that overlap it but do not contain it."""
+    shared_m2 = shapely.area(shapely.intersection(area, holes)) if holes else np.zeros(0)
+    cut = [
+        hole for hole, m2 in zip(holes, shared_m2.tolist(), strict=True) if 0.0 < m2 < area.area - _SAME_M2
+    ]
     return shapely.difference(area, shapely.union_all(cut)) if cut else area

@@ -1,4 +1,4 @@
-"""What comes with SUMO's wheel, and what its programs write into nets."""
+"""Locates the files of SUMO's wheel, and removes the header that its programs write into nets."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 
 def sumo_home() -> Path:
-    """Return the folder of the wheel that holds SUMO's programs, tools and data."""
+    """Return the folder of SUMO's programs, tools and data."""
     return Path(importlib.import_module("sumo").SUMO_HOME)
 
 
 def drop_header(net: Path) -> None:
-    """Take out netconvert's header, which holds the time and paths, so that equal input gives equal bytes."""
+    """Remove netconvert's header from a net; it contains a time and paths, which differ between equal runs."""
     text = net.read_text(encoding="utf-8")
     start, end = text.find("<!--"), text.find("-->")
     if 0 <= start < end:

@@ -19,10 +19,8 @@ from advdiff_sumo.maps.read_net import RawNet, leaving_lanes, marked_requests, s
 DEFAULT_LANE_WIDTH_M = 3.2
 """SUMO's lane width where the net states none (SUMO_const_laneWidth)."""
 
-_STUB_M = 0.01
-"""Length given to a lane that is drawn as a single point."""
-_SIDE_MARGIN_M = 0.3
-"""Smallest lateral offset that shows on which side of another lane a lane lies."""
+_STUB_M = 0.01  # length given to a lane that is drawn as a single point
+_SIDE_MARGIN_M = 0.3  # smallest lateral offset that shows on which side of another lane a lane lies
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,10 @@ SPACING_M = 2.0
 MAX_DISTANCE_M = 6.0
 """Largest distance of a point from a lane that it may be on."""
 _MAX_YAW_ERROR_RAD = 1.75
-_DETOUR_SCALE_M = 3.0
-"""A detour of this length costs 1."""
-_BACKWARD_M = 6.0
-"""Backward motion along an edge up to this length is taken for noise of the recording."""
-_SEARCH_MARGIN_M = 40.0
-"""Added to twice the straight-line distance to limit the search for a path along the net."""
-_SEARCH_STEP_M = 50.0
-"""Search limits are rounded up to a multiple of this, so that results can be reused."""
+_DETOUR_SCALE_M = 3.0  # a detour of this length costs 1
+_BACKWARD_M = 6.0  # backward motion along an edge up to this length is taken for noise of the recording
+_SEARCH_MARGIN_M = 40.0  # the search along the net ends at twice the straight-line distance plus this
+_SEARCH_STEP_M = 50.0  # search limits are rounded up to a multiple of this, so that results can be reused
 
 
 @dataclass(frozen=True)

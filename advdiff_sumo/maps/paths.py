@@ -15,10 +15,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import Polyline, kept_points
 from advdiff_sumo.maps.lanes import Edge, Lane, Link
 
-_SAME_M = 1e-6
-"""Arc lengths that differ by less are equal."""
-_SHORTEST_M = 0.01
-"""Shortest line of a path."""
+_SAME_M = 1e-6  # arc lengths that differ by less are equal
+_SHORTEST_M = 0.01  # length of the shortest path
 
 
 @dataclass(frozen=True)

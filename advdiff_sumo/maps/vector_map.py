@@ -1,4 +1,4 @@
-"""The map as a table of short pieces with features, from which every agent takes its nearest ones."""
+"""Cuts the map into short pieces with features for learned models, and selects those near each agent."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from advdiff_sumo.maps.lanes import Junction, Lane, Link
 POINTS = 6
 """N: points of a piece."""
 PIECE_M = 20.0
-"""Longest piece where traffic is slow; longer lines are cut into equal parts."""
-_SHORTEST_M = 0.05
-# "R" and "U" SUMO itself does not write
+"""Length limit of lane pieces at low speed limits; longer lines are cut into equal parts."""
+_SHORTEST_M = 0.05  # shorter lines are left out
+# "R" and "U" occur in other sources; SUMO does not write them
 _SIGNAL_CODES = dict.fromkeys(RED | {"R", "U"}, 1) | dict.fromkeys(YELLOW, 2) | dict.fromkeys(GREEN, 3)
 
 
 @dataclass(frozen=True)
 class ViewLimits:
-    """What of a map an agent sees.
+    """Limits of a map view: which pieces an agent sees, and how long they are.
 
     Attributes:
-        lanes: lane pieces, at most.
-        edges: pieces of road edges, at most.
-        radius_m: distance of the farthest point of a piece that is seen by who stands.
-        reach_s: seconds at the agent's speed that are added to that, ahead and around.
-        narrow_m: what lies at the end of that reach ahead counts as near as what lies so far aside.
-        piece_s: longest piece in seconds at the lane's limit, where that is more than ``PIECE_M``.
-        edge_piece_m: longest piece of a road edge.
+        lanes: maximum number of lane pieces.
+        edges: maximum number of road-edge pieces.
+        radius_m: reach of a standing agent; a piece is seen if one of its points is within reach.
+        reach_s: the reach grows by the distance driven in this time at the agent's speed.
+        narrow_m: pieces are ranked as if distances ahead were scaled from the reach to this length.
+        piece_s: length limit of lane pieces in seconds at the lane's speed limit; at least ``PIECE_M``.
+        edge_piece_m: length limit of road-edge pieces.
     """
 
     lanes: int
@@ -51,7 +51,7 @@ class ViewLimits:
 
     @property
     def pieces(self) -> int:
-        """K: pieces an agent sees."""
+        """K: maximum number of pieces that an agent sees."""
         return self.lanes + self.edges
 
 
@@ -62,7 +62,7 @@ VIEWS: Mapping[MapView, ViewLimits] = {
 
 
 class Feature(IntEnum):
-    """Columns of :attr:`PieceTable.features`, raw SI."""
+    """Columns of :attr:`PieceTable.features`, in SI units and not normalised."""
 
     WIDTH_M = 0
     SPEED_MPS = 1
@@ -83,9 +83,9 @@ class PieceTable:
     Attributes:
         xy_m: (M, N, 2) evenly spaced points in driving direction; a road edge has the road on its left.
         features: (M, F) values in the order of :class:`Feature`.
-        signal: (M,) index into :attr:`signal_links`, −1 where no signal counts.
-        signal_links: G pairs of traffic light id and index in its state string.
-        limits: of the view that it was cut for.
+        signal: (M,) index into :attr:`signal_links`; −1 for pieces without a signal.
+        signal_links: G pairs of a traffic light id and an index in its state string.
+        limits: limits of the view for which the map was cut.
     """
 
     xy_m: FloatArray
@@ -99,36 +99,35 @@ class PieceTable:
             read_only(array)
 
     def rows_near(self, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> NDArray[np.int32]:
-        """Return the pieces (S, K) that agents see, −1 padded.
+        """Return the rows (S, K) of the pieces that S agents see, padded with −1.
 
-        The first columns hold lanes, the others road edges, each nearest first, with a point within reach. What lies
-        ahead counts as nearer than it is, so that a driver in a dense junction still sees the lane it will be on in
-        6 s.
+        The first columns hold lanes, the others road edges, each the nearest first. Pieces ahead are ranked as nearer
+        than they are, so that a driver in a dense junction still sees the lane that it will be on in 6 s.
 
         Args:
-            xy_m: (S, 2) places.
+            xy_m: (S, 2) positions.
             yaw_rad: (S,) headings.
             speed_mps: (S,) speeds.
         """
         xy, yaw = np.asarray(xy_m, dtype=np.float64), np.asarray(yaw_rad, dtype=np.float64)
         limits = self.limits
         reach = limits.radius_m + limits.reach_s * np.maximum(np.asarray(speed_mps, dtype=np.float64), 0.0)
-        out = np.full((len(xy), limits.pieces), -1, dtype=np.int32)
+        rows = np.full((len(xy), limits.pieces), -1, dtype=np.int32)
         if len(xy):
-            self._fill(out[:, : limits.lanes], self._lanes, xy, yaw, reach)
-            self._fill(out[:, limits.lanes :], self._edges, xy, yaw, reach)
-        return out
+            self._fill(rows[:, : limits.lanes], self._lanes, xy, yaw, reach)
+            self._fill(rows[:, limits.lanes :], self._edges, xy, yaw, reach)
+        return rows
 
     def signal_states(self, signals: Mapping[str, str]) -> NDArray[np.uint8]:
         """Return the state (G,) of each signalled link: 0 unknown or off, 1 red, 2 yellow, 3 green.
 
         Args:
-            signals: id of each traffic light → its state string as SUMO writes it.
+            signals: traffic light id → its state string as SUMO writes it.
         """
         states = np.zeros(len(self.signal_links), dtype=np.uint8)
-        for row, (name, index) in enumerate(self.signal_links):
-            text = signals.get(name, "")
-            states[row] = _SIGNAL_CODES.get(text[index], 0) if index < len(text) else 0
+        for row, (tls_id, index) in enumerate(self.signal_links):
+            state = signals.get(tls_id, "")
+            states[row] = _SIGNAL_CODES.get(state[index], 0) if index < len(state) else 0
         return states
 
     @cached_property
@@ -140,58 +139,72 @@ class PieceTable:
         return _Search.of(self.xy_m, self.features[:, Feature.IS_ROAD_EDGE] > 0.0)
 
     def _fill(
-        self, out: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray, reach: FloatArray
+        self, columns: NDArray[np.int32], search: _Search, xy: FloatArray, yaw: FloatArray, reach: FloatArray
     ) -> None:
+        """Write the rows of the best-ranked pieces of *search* within *reach* (S,) into *columns* (S, k)."""
         agent, piece = search.candidates(xy, reach)
         shrunk = self.limits.narrow_m / reach
         ahead = np.stack((np.cos(yaw), np.sin(yaw)))
         distance, cost = _distances(self.xy_m[piece], xy[agent], ahead[:, agent], shrunk[agent])
-        near = distance <= reach[agent]
-        agent, piece, cost = agent[near], piece[near], cost[near]
+        is_near = distance <= reach[agent]
+        agent, piece, cost = agent[is_near], piece[is_near], cost[is_near]
         order = np.lexsort((piece, cost, agent))
         agent, piece = agent[order], piece[order]
         rank = np.arange(len(agent)) - np.searchsorted(agent, agent)
-        kept = rank < out.shape[1]
-        out[agent[kept], rank[kept]] = piece[kept]
+        is_kept = rank < columns.shape[1]
+        columns[agent[is_kept], rank[is_kept]] = piece[is_kept]
 
 
 @dataclass(frozen=True)
 class _Search:
-    """A search tree over the middles of some pieces."""
+    """A search tree over the centres of some pieces.
+
+    Attributes:
+        rows: rows of the pieces in the table.
+        reach_m: largest distance of a point of a piece from the piece's centre.
+        tree: tree over the centres; None without pieces.
+    """
 
     rows: IntArray
     reach_m: float
     tree: cKDTree | None
 
     @staticmethod
-    def of(xy_m: FloatArray, wanted: BoolArray) -> _Search:
-        rows = np.flatnonzero(wanted)
+    def of(xy_m: FloatArray, is_included: BoolArray) -> _Search:
+        rows = np.flatnonzero(is_included)
         if len(rows) == 0:
             return _Search(rows, 0.0, None)
         points = xy_m[rows]
-        middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
-        reach = float(np.linalg.norm(points - middle[:, None], axis=-1).max())
-        return _Search(rows, reach, cKDTree(middle))
+        centre = 0.5 * (points.min(axis=1) + points.max(axis=1))
+        reach = float(np.linalg.norm(points - centre[:, None], axis=-1).max())
+        return _Search(rows, reach, cKDTree(centre))
 
     def candidates(self, xy_m: FloatArray, reach_m: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs (C,), (C,) of agent and piece that may be within reach."""
-        none = np.zeros(0, dtype=np.int64)
+        """Return pairs (C,), (C,) of an agent and a piece that may be within its reach."""
+        empty = np.zeros(0, dtype=np.int64)
         if self.tree is None:
-            return none, none
+            return empty, empty
         nearby = self.tree.query_ball_point(xy_m, reach_m + self.reach_m, return_sorted=False)
         counts = np.array([len(rows) for rows in nearby])
         if counts.sum() == 0:
-            return none, none
-        picked = np.fromiter(chain.from_iterable(nearby), np.int64, counts.sum())
-        return np.repeat(np.arange(len(xy_m)), counts), self.rows[picked]
+            return empty, empty
+        found = np.fromiter(chain.from_iterable(nearby), np.int64, counts.sum())
+        return np.repeat(np.arange(len(xy_m)), counts), self.rows[found]
 
 
 def _distances(
     points: FloatArray, xy: FloatArray, ahead: FloatArray, shrunk: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the distance (C,) of each agent to the points (C, N, 2) of a piece, and with what is ahead *shrunk*.
+    """Return the distance (C,) and the ranking distance (C,) of C pairs of an agent and a piece.
 
-    *ahead* (2, C) is a unit vector along each agent. Points come first below: NumPy is slow over short last axes.
+    In the ranking distance, the component ahead of the agent is shortened. Points are the first axis of the arrays
+    below, as NumPy is slow over short last axes.
+
+    Args:
+        points: (C, N, 2) points of the piece.
+        xy: (C, 2) position of the agent.
+        ahead: (2, C) unit vector in the direction of the agent's heading.
+        shrunk: (C,) factor on distances ahead.
     """
     dx, dy = np.ascontiguousarray(points.T) - xy.T[:, None]  # (N, C) each
     squared = dx**2 + dy**2
@@ -211,57 +224,57 @@ def build_pieces(
     """Return the table of a map.
 
     Args:
-        lanes: all lanes; those for pedestrians or rails alone are left out.
+        lanes: all lanes; those only for pedestrians or rails are left out.
         links: connections between non-internal lanes.
-        junctions: for who yields to whom under a signal.
-        rings: closed boundaries (P, 2) of the drivable area, area on the left.
-        lefthand: whether traffic keeps left, and turns round to the right.
-        view: what it is cut for.
+        junctions: their right-of-way matrices say which links yield under a signal.
+        rings: closed boundaries (P, 2) of the drivable area, with the area on the left.
+        lefthand: whether traffic drives on the left, and so makes U-turns to the right.
+        view: the view for which the map is cut.
     """
     links, limits = list(links), VIEWS[view]
     signal_links = tuple(
         sorted({(x.tls_id, x.tls_index) for x in links if x.tls_id is not None and x.tls_index is not None})
     )
-    marks = _Marks(junctions, {pair: row for row, pair in enumerate(signal_links)}, lefthand)
-    through = {name: link for link in reversed(links) for name in link.via}
+    features_of = _PieceFeatures(junctions, {pair: row for row, pair in enumerate(signal_links)}, lefthand)
+    link_of_internal = {name: link for link in reversed(links) for name in link.via}
     xy: list[FloatArray] = []
-    rows: list[list[float]] = []
-    signal: list[int] = []
+    features: list[list[float]] = []
+    signals: list[int] = []
     for lane in _shown(lanes):
         pieces = _cut(lane.line, max(PIECE_M, limits.piece_s * lane.speed_mps))
-        link = through.get(lane.id) if lane.is_internal else _representative(lane.successors)
+        link = link_of_internal.get(lane.id) if lane.is_internal else _representative(lane.successors)
         for number in range(len(pieces)):
-            marking = link if lane.is_internal or number == len(pieces) - 1 else None
-            rows.append(marks.lane(lane, marking))
-            signal.append(marks.signal(marking))
+            piece_link = link if lane.is_internal or number == len(pieces) - 1 else None
+            features.append(features_of.lane(lane, piece_link))
+            signals.append(features_of.signal(piece_link))
         xy += pieces
     for ring in rings:
         pieces = _cut(Polyline.of(ring), limits.edge_piece_m) if len(without_repeats(ring)) > 2 else []
         xy += pieces
-        rows += [_EDGE_ROW] * len(pieces)
-        signal += [-1] * len(pieces)
+        features += [_EDGE_FEATURES] * len(pieces)
+        signals += [-1] * len(pieces)
     return PieceTable(
         np.array(xy, dtype=np.float64).reshape(-1, POINTS, 2),
-        np.array(rows, dtype=np.float64).reshape(-1, len(Feature)),
-        np.array(signal, dtype=np.int64),
+        np.array(features, dtype=np.float64).reshape(-1, len(Feature)),
+        np.array(signals, dtype=np.int64),
         signal_links,
         limits,
     )
 
 
-_EDGE_ROW = [1.0 if column == Feature.IS_ROAD_EDGE else 0.0 for column in Feature]
+_EDGE_FEATURES = [1.0 if column == Feature.IS_ROAD_EDGE else 0.0 for column in Feature]
 
 
 @dataclass(frozen=True)
-class _Marks:
-    """What signs, arrows and signals say about pieces."""
+class _PieceFeatures:
+    """Computes the features and the signal of lane pieces."""
 
     junctions: Mapping[str, Junction]
     signal_rows: Mapping[tuple[str, int], int]
     lefthand: bool
 
     def lane(self, lane: Lane, link: Link | None) -> list[float]:
-        """Return the features of a piece of *lane* at which *link* counts."""
+        """Return the features of a piece of *lane*; signs and turns are those of *link*, None without one."""
         row = [0.0] * len(Feature)
         row[Feature.WIDTH_M], row[Feature.SPEED_MPS] = lane.width_m, lane.speed_mps
         row[Feature.IS_LANE], row[Feature.IS_INTERNAL] = 1.0, float(lane.is_internal)
@@ -274,36 +287,38 @@ class _Marks:
         return row
 
     def signal(self, link: Link | None) -> int:
-        """Return the row of the signal of *link*, or −1."""
+        """Return the row of the signal that controls *link*; −1 without one."""
         if link is None or link.tls_id is None or link.tls_index is None:
             return -1
         return self.signal_rows[link.tls_id, link.tls_index]
 
     def _turn(self, link: Link) -> float:
-        around = -1.0 if self.lefthand else 1.0
-        return {"l": 1.0, "L": 1.0, "r": -1.0, "R": -1.0, "t": around, "T": around}.get(link.direction, 0.0)
+        """Return 1 for a left turn, −1 for a right turn, 0 straight on; a U-turn is one to its side."""
+        u_turn = -1.0 if self.lefthand else 1.0
+        return {"l": 1.0, "L": 1.0, "r": -1.0, "R": -1.0, "t": u_turn, "T": u_turn}.get(link.direction, 0.0)
 
     def _yields(self, link: Link) -> bool:
         junction = self.junctions.get(link.junction_id)
         if link.tls_id is None or junction is None:
             return link.yields
-        return bool(junction.yields_to(link))  # a turn that goes with the opposite green
+        return bool(junction.yields_to(link))  # such as a left turn during oncoming traffic's green
 
 
 def _shown(lanes: Mapping[str, Lane]) -> Iterator[Lane]:
-    roads = {lane.edge_id for lane in lanes.values() if lane.is_drivable}
+    """Yield lanes for motor vehicles, and bicycle lanes of edges that have such lanes."""
+    road_edges = {lane.edge_id for lane in lanes.values() if lane.is_drivable}
     for lane in lanes.values():
-        if lane.is_drivable or (lane.edge_id in roads and "bicycle" in lane.allows):
+        if lane.is_drivable or (lane.edge_id in road_edges and "bicycle" in lane.allows):
             yield lane
 
 
 def _representative(links: tuple[Link, ...]) -> Link | None:
-    """Return the straight link, else the first, else None."""
+    """Return the first link that goes straight on, else the first link; None without links."""
     return next((link for link in links if link.direction == "s"), links[0] if links else None)
 
 
 def _cut(line: Polyline, piece_m: float) -> list[FloatArray]:
-    """Return *line* in equal parts of at most *piece_m*, each as N evenly spaced points."""
+    """Return *line*, cut into equal parts of at most *piece_m*, each as N evenly spaced points (N, 2)."""
     if line.length_m < _SHORTEST_M:
         return []
     parts = max(1, int(np.ceil(line.length_m / piece_m - 1e-9)))

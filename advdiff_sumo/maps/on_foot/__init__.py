@@ -1,1 +1,1 @@
-"""Crossings, walking areas and sidewalks for a net whose vehicle lanes stay as they are."""
+"""Adds crossings, walking areas and sidewalks to a net without changing its vehicle lanes."""

@@ -1,8 +1,8 @@
-"""Writes crossings, walking areas and sidewalks into a SUMO net, whose lanes for vehicles stay as they are.
+"""Adds crossings, walking areas and sidewalks to a SUMO net without changing its vehicle lanes.
 
-netconvert builds sidewalks as lanes of the roads' own edges, which would shift the numbers and shapes of all lanes, so
-the elements are written after it: crossings over the ways of junctions with their rows of right of way and links of
-the signals, walking areas at their ends, and sidewalks as edges of their own.
+netconvert would build sidewalks as lanes of the roads' edges, which changes the indices and shapes of all lanes. So
+these elements are added to a finished net: crossings with rows in the right-of-way matrix and links of the traffic
+lights, walking areas at their ends, and sidewalks as separate edges.
 """
 
 from __future__ import annotations
@@ -38,21 +38,22 @@ from advdiff_sumo.maps.on_foot.net_writer import NetWriter, lanes_of
 from advdiff_sumo.maps.read_net import read_root
 
 Place: TypeAlias = tuple[float, float]
+"""Position (x, y) in m."""
 NO_SIDEWALK = "no place to stand at its end"
 
 
 @dataclass(frozen=True)
 class FootPaths:
-    """What became of the crossings.
+    """The result of :func:`add_foot_paths`.
 
     Attributes:
-        guessed: whether they are guessed rather than given.
-        given: how many there were.
-        kept: how many of them are in the net.
-        crossings: SUMO crossings, one for each carriageway.
-        left_out: places (x, y) in m of those that are not, by reason.
-        sidewalk_m: length of all sidewalks.
-        on_walkways: share of that length on the map's walkways; None where it has none.
+        guessed: whether the crossings were guessed, not given.
+        given: number of crossings that were guessed or given.
+        kept: number of them that were added to the net.
+        crossings: number of SUMO crossings in the net, one for each carriageway.
+        left_out: reason → positions (x, y) in m of the crossings that were not added.
+        sidewalk_m: total length of the sidewalks.
+        on_walkways: share of that length that lies on the map's walkways; None if the map has none.
     """
 
     guessed: bool
@@ -75,51 +76,53 @@ def add_foot_paths(
     """Write crossings at *areas*, and sidewalks between them, into *net*.
 
     Args:
-        net: a SUMO net; written anew unless there is nothing to add.
-        areas: what is painted on the road.
-        guess: put crossings over the arms of junctions where *areas* is empty.
-        drivable: area of which the rim is the kerb, beside the lanes.
-        walkways: areas for people on foot, for comparison.
+        net: a SUMO net; overwritten if there is anything to add.
+        areas: outlines of the crossings that are painted on the road.
+        guess: whether to put crossings over the arms of junctions if *areas* is empty.
+        drivable: drivable area; its boundary and that of the lanes are the kerbs.
+        walkways: areas for pedestrians; only compared with the result.
     """
     root = read_root(net, "net", "a SUMO net")
     road = Carriageway(root, drivable)
     guessed = guess and not areas
-    wanted = guessed_crossings(road) if guessed else list(areas)
-    lines, left_out = _accepted(wanted, road)
-    lines, places, walks = _with_sidewalks(lines, road, left_out)
-    crossings = [line for own in lines for line in own]
-    if crossings:
-        NetWriter(root, road, crossings, places, walks).write()
+    outlines = guessed_crossings(road) if guessed else list(areas)
+    crossings, left_out = _accepted(outlines, road)
+    crossings, walking_places, footways = _with_sidewalks(crossings, road, left_out)
+    parts = [part for crossing in crossings for part in crossing]
+    if parts:
+        NetWriter(root, road, parts, walking_places, footways).write()
         ET.indent(root, "    ")
         ET.ElementTree(root).write(net, encoding="utf-8", xml_declaration=True)
-    metres = [shapely.LineString(walk.line_m) for walk in walks]
-    total = float(sum(line.length for line in metres))
+    lines = [shapely.LineString(footway.line_m) for footway in footways]
+    total_m = float(sum(line.length for line in lines))
     share = None
-    if walkways and total:
-        paved = shapely.union_all(list(walkways))
-        share = round(float(sum(line.intersection(paved).length for line in metres)) / total, 4)
-    return FootPaths(guessed, len(wanted), len(lines), len(crossings), dict(left_out), round(total, 1), share)
+    if walkways and total_m:
+        walkway_area = shapely.union_all(list(walkways))
+        share = round(float(sum(line.intersection(walkway_area).length for line in lines)) / total_m, 4)
+    return FootPaths(
+        guessed, len(outlines), len(crossings), len(parts), dict(left_out), round(total_m, 1), share
+    )
 
 
 def _accepted(
-    wanted: Iterable[Polygon], road: Carriageway
+    outlines: Iterable[Polygon], road: Carriageway
 ) -> tuple[list[list[CrossingLine]], dict[str, list[Place]]]:
-    """Return the lines of each crossing that can be in the net, and where those are that cannot, by reason."""
+    """Return the parts of each crossing that can be added, and the positions of the other crossings by reason."""
     accepted: list[list[CrossingLine]] = []
     left_out: dict[str, list[Place]] = defaultdict(list)
     controlled = {
         j.get("id") for j in road.root.iterfind("junction") if len(j.findall("request")) == len(lanes_of(j))
     }
-    for area in wanted:
-        lines = crossing_lines(area, road)
-        if isinstance(lines, str):
-            left_out[lines].append(_place(area.centroid))
-        elif not all(line.junction in controlled for line in lines):
+    for area in outlines:
+        parts = crossing_lines(area, road)
+        if isinstance(parts, str):
+            left_out[parts].append(_place(area.centroid))
+        elif not all(part.junction in controlled for part in parts):
             left_out[UNCONTROLLED].append(_place(area.centroid))
-        elif overlaps(lines, [line for own in accepted for line in own]):
+        elif overlaps(parts, [part for crossing in accepted for part in crossing]):
             left_out[TAKEN].append(_place(area.centroid))
         else:
-            accepted.append(lines)
+            accepted.append(parts)
     return accepted, left_out
 
 
@@ -128,24 +131,27 @@ def _place(point: Point) -> Place:
 
 
 def _with_sidewalks(
-    lines: list[list[CrossingLine]], road: Carriageway, left_out: dict[str, list[Place]]
+    crossings: list[list[CrossingLine]], road: Carriageway, left_out: dict[str, list[Place]]
 ) -> tuple[list[list[CrossingLine]], list[WalkingArea], list[Sidewalk]]:
-    """Return crossings, walking areas and sidewalks; a crossing from which no sidewalk leads on is left out."""
-    kerbs = kerbs_of(road) if lines else []
+    """Return crossings, walking areas and sidewalks.
+
+    A crossing is left out and added to *left_out* if no sidewalk and no other crossing continues from one of its ends.
+    """
+    kerbs = kerbs_of(road) if crossings else []
     while True:
-        crossings = [line for own in lines for line in own]
-        places = walking_areas(crossings, kerbs)
-        walks = sidewalks(places, kerbs, crossings, road) if crossings else []
-        served = {number for walk in walks for number in (walk.origin, walk.target)}
-        dead = {
-            number
-            for place, area in enumerate(places)
-            if place not in served and len(area.ends) == 1
-            for number, _ in area.ends
+        parts = [part for crossing in crossings for part in crossing]
+        areas = walking_areas(parts, kerbs)
+        footways = sidewalks(areas, kerbs, parts, road) if parts else []
+        connected_areas = {number for footway in footways for number in (footway.origin, footway.target)}
+        dead_ends = {
+            part
+            for number, area in enumerate(areas)
+            if number not in connected_areas and len(area.ends) == 1
+            for part, _ in area.ends
         }
-        if not dead:
-            return lines, places, walks
-        stuck = {id(crossings[number]) for number in dead}
-        kept = [own for own in lines if not any(id(line) in stuck for line in own)]
-        left_out[NO_SIDEWALK] += [_place(own[0].line.centroid) for own in lines if own not in kept]
-        lines = kept
+        if not dead_ends:
+            return crossings, areas, footways
+        dead_ids = {id(parts[part]) for part in dead_ends}
+        kept = [crossing for crossing in crossings if not any(id(part) in dead_ids for part in crossing)]
+        left_out[NO_SIDEWALK] += [_place(c[0].line.centroid) for c in crossings if c not in kept]
+        crossings = kept

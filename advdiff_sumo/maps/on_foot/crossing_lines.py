@@ -1,4 +1,4 @@
-"""Painted crossings as lines from kerb to kerb over the ways of one junction, as SUMO has them."""
+"""Converts painted crossings into lines from kerb to kerb over one junction each, as SUMO models crossings."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from shapely.geometry import LineString, Point, Polygon
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.on_foot.carriageway import Carriageway, Strip
 
-REACH_M = 8.0  # a kerb is looked for so far beyond the ends of what is painted
-CLEAR_M = 0.3  # a crossing ends so far beyond the kerb
-LEAST_SINE = 0.5  # a way that meets the crossing at less than 30° runs along it
+REACH_M = 8.0  # a kerb is sought up to this distance beyond the painted ends
+CLEAR_M = 0.3  # a crossing ends this far beyond the kerb
+LEAST_SINE = 0.5  # a path that meets the crossing at less than 30° runs along it
 LEAST_WIDTH_M, MOST_WIDTH_M = 2.0, 8.0
 LONGEST_M = 100.0
-_OVERLAP_M = 0.5
-MOST_OVERLAP = 0.25  # share of a crossing that may lie over another one
+_OVERLAP_M = 0.5  # shortest overlap of paint and carriageway for the crossing to lead over it
+MOST_OVERLAP = 0.25  # share of a crossing that may overlap another one
+_STEP_M = 0.5  # distance over which directions of lines are measured
 
 NO_LANE = "no lane leads over it"
 ON_LANES = "lies across lanes outside the ways of a junction"
@@ -33,21 +34,21 @@ UNCONTROLLED = "its junction has no right of way"
 
 @dataclass(frozen=True, eq=False)
 class CrossingLine:
-    """One carriageway's part of a crossing.
+    """The part of a crossing that leads over one carriageway.
 
     Attributes:
-        ends_m: (2, 2) from kerb to kerb.
+        ends_m: (2, 2) end points, at the kerbs.
         width_m: width of the crossing.
-        junction: whose ways it lies over.
-        ways: those ways.
-        goes_on: whether it goes on from another part of its crossing, over an island between them.
+        junction: the junction that it lies on.
+        strips: internal lanes of the junction that it leads over.
+        follows_island: whether the previous part of the crossing ends at an island at which this one begins.
     """
 
     ends_m: FloatArray
     width_m: float
     junction: str
-    ways: tuple[Strip, ...]
-    goes_on: bool = False
+    strips: tuple[Strip, ...]
+    follows_island: bool = False
 
     @property
     def line(self) -> LineString:
@@ -67,7 +68,14 @@ class CrossingLine:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """A painted crossing as a straight band: its middle, the way one walks (unit vector), half length and width."""
+    """A painted crossing as a straight band.
+
+    Attributes:
+        middle_m: (2,) centre.
+        along: (2,) walking direction, as a unit vector.
+        half_m: half the length in that direction.
+        width_m: width across it.
+    """
 
     middle_m: FloatArray
     along: FloatArray
@@ -75,29 +83,29 @@ class Band:
     width_m: float
 
     def line(self, beyond_m: float = 0.0) -> LineString:
-        """Return the centre line, *beyond_m* longer at both ends."""
+        """Return the centre line, extended by *beyond_m* at both ends."""
         reach = (self.half_m + beyond_m) * self.along
         return LineString((self.middle_m - reach, self.middle_m + reach))
 
 
 def band_of(area: Polygon, lines: Iterable[LineString]) -> Band | None:
-    """Return *area* as a band across *lines*; None where it lies on none of them."""
+    """Return *area* as a band that leads across *lines*; None if it intersects none of them."""
     headings = [heading for line in lines if (heading := _heading(line, area)) is not None]
     box = shapely.minimum_rotated_rectangle(area)
     if not headings or not isinstance(box, Polygon):
         return None
     corners = shapely.get_coordinates(box)[:4]
     sides = np.diff(corners[:3], axis=0)
-    lengths = np.hypot(*sides.T)
-    units = sides / lengths[:, None]
-    across = [sum(abs(float(_cross(unit, heading))) for heading in headings) for unit in units]
-    one = int(np.argmax(across))
-    width = float(np.clip(lengths[1 - one], LEAST_WIDTH_M, MOST_WIDTH_M))
-    return Band(corners.mean(axis=0), units[one], 0.5 * float(lengths[one]), width)
+    lengths_m = np.hypot(*sides.T)
+    directions = sides / lengths_m[:, None]
+    sines = [sum(abs(float(_cross(side, heading))) for heading in headings) for side in directions]
+    along = int(np.argmax(sines))  # the side that is most perpendicular to the lines
+    width_m = float(np.clip(lengths_m[1 - along], LEAST_WIDTH_M, MOST_WIDTH_M))
+    return Band(corners.mean(axis=0), directions[along], 0.5 * float(lengths_m[along]), width_m)
 
 
 def crossing_lines(area: Polygon, road: Carriageway) -> list[CrossingLine] | str:
-    """Return what becomes of the painted crossing *area*: a line for each carriageway, or why there is none."""
+    """Return the parts of the painted crossing *area*, one for each carriageway; or why it cannot be converted."""
     band = band_of(area, [strip.line for strip in road.crossed_by(area)])
     if band is None:
         return NO_LANE
@@ -107,20 +115,19 @@ def crossing_lines(area: Polygon, road: Carriageway) -> list[CrossingLine] | str
     for start, end in carriageways(band, road):
         if max(abs(start), abs(end)) >= band.half_m + REACH_M - CLEAR_M:
             return NO_KERB
-        ends = band.middle_m + np.outer((start - CLEAR_M, end + CLEAR_M), band.along)
-        part = _part(LineString(ends), ends, band.width_m, road)
+        ends_m = band.middle_m + np.outer((start - CLEAR_M, end + CLEAR_M), band.along)
+        part = _part(LineString(ends_m), ends_m, band.width_m, road)
         if isinstance(part, str):
             return part
-        parts.append(replace(part, goes_on=bool(parts)))
+        parts.append(replace(part, follows_island=bool(parts)))
     return parts or NO_LANE
 
 
 def carriageways(band: Band, road: Carriageway) -> list[tuple[float, float]]:
-    """Return where the carriageways under *band* begin and end, in m from its middle."""
-    line = band.line(REACH_M)
-    inside = line.intersection(road.lanes_area)
+    """Return the start and end of each carriageway along *band*, in m from the middle of the band."""
+    on_lanes = band.line(REACH_M).intersection(road.lanes_area)
     spans = []
-    for part in shapely.get_parts(inside):
+    for part in shapely.get_parts(on_lanes):
         if not isinstance(part, LineString) or part.is_empty:
             continue
         first, last = sorted(((np.asarray(part.coords) - band.middle_m) @ band.along)[[0, -1]].tolist())
@@ -131,7 +138,7 @@ def carriageways(band: Band, road: Carriageway) -> list[tuple[float, float]]:
 
 
 def _to_painted_ends(spans: list[tuple[float, float]], half_m: float) -> list[tuple[float, float]]:
-    """Return *spans* with the outermost ends where the paint ends, if it goes on beyond the lanes."""
+    """Return *spans*, extended at both outer ends to the ends of the paint, if it reaches beyond the lanes."""
     if not spans:
         return []
     spans[0] = (min(spans[0][0], CLEAR_M - half_m), spans[0][1])
@@ -140,6 +147,7 @@ def _to_painted_ends(spans: list[tuple[float, float]], half_m: float) -> list[tu
 
 
 def _part(line: LineString, ends_m: FloatArray, width_m: float, road: Carriageway) -> CrossingLine | str:
+    """Return the part of a crossing along *line* (from *ends_m*, (2, 2)), or why it cannot be converted."""
     strips = road.crossed_by(line)
     if any(not strip.junction for strip in strips):
         return ON_LANES
@@ -154,26 +162,26 @@ def _part(line: LineString, ends_m: FloatArray, width_m: float, road: Carriagewa
 
 
 def overlaps(lines: Sequence[CrossingLine], others: Sequence[CrossingLine]) -> bool:
-    """Return whether one of *lines* lies over one of *others* for more than a quarter; at corners they may meet."""
+    """Return whether one of *lines* overlaps one of *others* by more than a quarter of the smaller area."""
     bands = np.array([other.band for other in others], dtype=object)
-    size = shapely.area(bands)
-    for one in lines:
-        shared = shapely.area(shapely.intersection(one.band, bands))
-        if (shared > MOST_OVERLAP * np.minimum(one.band.area, size)).any():
+    areas_m2 = shapely.area(bands)
+    for line in lines:
+        shared_m2 = shapely.area(shapely.intersection(line.band, bands))
+        if (shared_m2 > MOST_OVERLAP * np.minimum(line.band.area, areas_m2)).any():
             return True
     return False
 
 
 def _heading(line: LineString, shape: Polygon | LineString) -> FloatArray | None:
-    """Return the direction (2,) of *line* where it meets *shape*; None where it does not, or several times."""
-    meeting = line.intersection(shape)
-    if meeting.is_empty or (isinstance(shape, LineString) and not isinstance(meeting, Point)):
+    """Return the direction (2,) of *line* where it meets *shape*; None if it does not, or meets a line repeatedly."""
+    shared = line.intersection(shape)
+    if shared.is_empty or (isinstance(shape, LineString) and not isinstance(shared, Point)):
         return None
-    s = line.project(meeting.centroid)
-    before, after = (np.asarray(line.interpolate(v).coords[0]) for v in (max(s - 0.5, 0.0), s + 0.5))
+    s = line.project(shared.centroid)
+    before, after = (np.asarray(line.interpolate(v).coords[0]) for v in (max(s - _STEP_M, 0.0), s + _STEP_M))
     step = after - before
-    size = float(np.hypot(*step))
-    return None if size < 1e-6 else np.asarray(step / size)
+    length_m = float(np.hypot(*step))
+    return None if length_m < 1e-6 else np.asarray(step / length_m)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> float:

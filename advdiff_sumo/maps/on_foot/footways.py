@@ -1,4 +1,4 @@
-"""Where people walk on a net: sidewalks, and which of them hang together over crossings and walking areas."""
+"""Reads the sidewalks of a net and groups them into parts connected by crossings and walking areas."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from advdiff_sumo.maps.read_net import ids_beyond, read_root, shape_of
 
 @dataclass(frozen=True, eq=False)
 class Footways:
-    """The sidewalks of a net, those alone that lead to another one; S of them.
+    """The S sidewalks of a net that are connected to at least one other sidewalk.
 
     Attributes:
-        edges: (S,) names of edges with a lane for people on foot.
+        edges: (S,) ids of edges with a lane for pedestrians.
         length_m: (S,) their lengths.
-        middle_m: (S, 2) their middles.
+        middle_m: (S, 2) midpoints between their ends.
         part: (S,) number of the connected part that each belongs to.
     """
 
@@ -33,7 +33,7 @@ class Footways:
 
 
 def read_footways(net: Path) -> Footways:
-    """Return the footways of the net at *net*; without crossings and walking areas there are none."""
+    """Return the footways of the net at *net*; there are none without crossings and walking areas."""
     root = read_root(net, "net", "a SUMO net")
     beyond = ids_beyond(root)
     lines: dict[str, FloatArray] = {}
@@ -45,23 +45,23 @@ def read_footways(net: Path) -> Footways:
                 foot_lanes.add((name, lane.get("index", "0")))
                 if not edge.get("function") and len(shape_of(lane)) > 1:
                     lines[name] = shape_of(lane)
-    number = {name: row for row, name in enumerate(sorted({name for name, _ in foot_lanes}))}
-    steps: list[tuple[int, int]] = []
-    for row in root.iterfind("connection"):
-        ends = [(row.get(key, ""), row.get(f"{key}Lane", "")) for key in ("from", "to")]
+    row_of = {name: row for row, name in enumerate(sorted({name for name, _ in foot_lanes}))}
+    connected_rows: list[tuple[int, int]] = []
+    for connection in root.iterfind("connection"):
+        ends = [(connection.get(key, ""), connection.get(f"{key}Lane", "")) for key in ("from", "to")]
         if all(end in foot_lanes for end in ends):
-            steps.append((number[ends[0][0]], number[ends[1][0]]))
-    origin, target = np.array(steps, dtype=np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(steps)), (origin, target)), shape=(len(number), len(number)))
-    label = connected_components(graph, directed=False)[1]
+            connected_rows.append((row_of[ends[0][0]], row_of[ends[1][0]]))
+    origin, target = np.array(connected_rows, dtype=np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(origin)), (origin, target)), shape=(len(row_of), len(row_of)))
+    component = connected_components(graph, directed=False)[1]
     members: dict[int, list[str]] = defaultdict(list)
     for name in sorted(lines):
-        members[int(label[number[name]])].append(name)
-    parts = [own for own in members.values() if len(own) > 1]
-    edges = [name for own in parts for name in own]
+        members[int(component[row_of[name]])].append(name)
+    parts = [part for part in members.values() if len(part) > 1]
+    edges = [name for part in parts for name in part]
     return Footways(
         tuple(edges),
         np.array([line_length_m(lines[name]) for name in edges]),
         np.array([lines[name][[0, -1]].mean(axis=0) for name in edges]).reshape(-1, 2),
-        np.array([number for number, own in enumerate(parts) for _ in own], dtype=np.int64),
+        np.array([number for number, part in enumerate(parts) for _ in part], dtype=np.int64),
     )

@@ -1,4 +1,4 @@
-"""Crossings for nets that have none: one over each arm of a junction at which ways meet."""
+"""Guesses crossings for nets that have none: one over each arm of a junction on which paths cross."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from shapely.geometry import LineString, Polygon
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.on_foot.carriageway import Carriageway, Strip
 
-FASTEST_MPS = 13.9  # as netconvert's crossings.guess.speed-threshold
-INSIDE_M = 2.5  # a crossing lies so far beyond the lane ends, towards the middle of the junction
-DEPTH_M = 4.0
-_SAME_ARM_COS, _APART_M, _AHEAD_M = 0.82, 20.0, 12.0
+FASTEST_MPS = 13.9  # no crossings over faster arms; as netconvert's crossings.guess.speed-threshold
+INSIDE_M = 2.5  # distance of a crossing from the lane ends, towards the middle of the junction
+DEPTH_M = 4.0  # width of a crossing, along the arm
+# lane ends belong to one arm up to these differences:
+_SAME_ARM_COS = 0.82  # smallest cosine of the angle between their directions
+_SAME_ARM_M, _SAME_ARM_ALONG_M = 20.0, 12.0  # largest distance, in total and along the arm
 
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """An end of a lane at a junction: place, direction out of the junction (unit vector), width and speed."""
+    """An end of a lane at a junction: position, direction out of the junction (unit vector), width and speed limit."""
 
-    place_m: FloatArray
-    out: FloatArray
+    xy_m: FloatArray
+    outward: FloatArray
     width_m: float
     speed_mps: float
 
 
 def guessed_crossings(road: Carriageway) -> list[Polygon]:
-    """Return areas of crossings over the arms of junctions whose ways cross, where 50 km/h or less are allowed."""
+    """Return the outlines of crossings over the arms, with limits up to 50 km/h, of junctions on which paths cross."""
     lines: dict[str, list[LineString]] = defaultdict(list)
     for strip in road.strips:
         if strip.junction:
@@ -38,70 +40,71 @@ def guessed_crossings(road: Carriageway) -> list[Polygon]:
     ends = _ends(road)
     areas = []
     for name in sorted(lines):
-        own = lines[name]
-        if len(shapely.STRtree(own).query(own, predicate="crosses")[0]):
+        paths = lines[name]
+        if len(shapely.STRtree(paths).query(paths, predicate="crosses")[0]):
             areas += [area for arm in _arms(ends[name]) if (area := _area(arm)) is not None]
     return areas
 
 
 def _ends(road: Carriageway) -> dict[str, list[_End]]:
-    """Return the lane ends at each junction, each once."""
+    """Return junction → lane ends at it, without duplicates."""
     lanes = {strip.lane: strip for strip in road.strips if not strip.junction}
     ends: dict[str, dict[tuple[str, int], _End]] = defaultdict(dict)
-    for (junction, _), row in road.links.items():
+    for (junction, _), connection in road.links.items():
         for name, side in (
-            (f"{row.get('from')}_{row.get('fromLane')}", -1),
-            (f"{row.get('to')}_{row.get('toLane')}", 0),
+            (f"{connection.get('from')}_{connection.get('fromLane')}", -1),
+            (f"{connection.get('to')}_{connection.get('toLane')}", 0),
         ):
             if name in lanes:
                 ends[junction][name, side] = _end(lanes[name], side)
-    return {junction: list(own.values()) for junction, own in ends.items()}
+    return {junction: list(own_ends.values()) for junction, own_ends in ends.items()}
 
 
-def _end(strip: Strip, side: int) -> _End:
-    reach = min(0.5, strip.line.length)
-    at = (0.0, reach) if side == 0 else (strip.line.length, strip.line.length - reach)
-    place, inner = (np.asarray(strip.line.interpolate(s).coords[0]) for s in at)
-    step = inner - place
-    return _End(place, step / np.hypot(*step), strip.width_m, strip.speed_mps)
+def _end(lane: Strip, side: int) -> _End:
+    """Return the beginning (*side* 0) or the end (*side* −1) of a lane."""
+    step_m = min(0.5, lane.line.length)
+    s_m = (0.0, step_m) if side == 0 else (lane.line.length, lane.line.length - step_m)
+    xy, inner_xy = (np.asarray(lane.line.interpolate(s).coords[0]) for s in s_m)
+    step = inner_xy - xy
+    return _End(xy, step / np.hypot(*step), lane.width_m, lane.speed_mps)
 
 
 def _arms(ends: list[_End]) -> Iterator[list[_End]]:
-    """Yield lane ends that lie side by side and lead out of the junction in one direction."""
-    left = list(ends)
-    while left:
-        arm = [left.pop(0)]
-        grown = True
-        while grown:
-            beside = [end for end in left if any(_one_arm(end, other) for other in arm)]
-            grown = bool(beside)
-            arm += beside
-            left = [end for end in left if not any(end is other for other in beside)]
+    """Yield the lane ends of each arm: those side by side that lead out of the junction in the same direction."""
+    rest = list(ends)
+    while rest:
+        arm = [rest.pop(0)]
+        has_grown = True
+        while has_grown:
+            added = [end for end in rest if any(_is_same_arm(end, other) for other in arm)]
+            has_grown = bool(added)
+            arm += added
+            rest = [end for end in rest if not any(end is other for other in added)]
         yield arm
 
 
-def _one_arm(one: _End, other: _End) -> bool:
-    apart = other.place_m - one.place_m
-    ahead = abs(_dot(apart, one.out))
-    return (
-        _dot(one.out, other.out) > _SAME_ARM_COS and ahead < _AHEAD_M and float(np.hypot(*apart)) < _APART_M
-    )
+def _is_same_arm(end: _End, other: _End) -> bool:
+    offset = other.xy_m - end.xy_m
+    along_m = abs(_dot(offset, end.outward))
+    is_near = along_m < _SAME_ARM_ALONG_M and float(np.hypot(*offset)) < _SAME_ARM_M
+    return is_near and _dot(end.outward, other.outward) > _SAME_ARM_COS
 
 
 def _area(arm: list[_End]) -> Polygon | None:
-    """Return a rectangle across all lanes of *arm*, inside the junction; None where traffic is fast."""
+    """Return a rectangle inside the junction across all lanes of *arm*; None if its speed limit is too high."""
     if max(end.speed_mps for end in arm) > FASTEST_MPS:
         return None
-    out = np.sum([end.out for end in arm], axis=0)
-    out = out / np.hypot(*out)
-    left = np.array([-out[1], out[0]])
-    place = min(_dot(end.place_m, out) for end in arm) - INSIDE_M
-    sides = [(_dot(end.place_m, left), 0.5 * end.width_m) for end in arm]
-    low, high = min(at - half for at, half in sides), max(at + half for at, half in sides)
-    rows = ((place, low), (place, high), (place + DEPTH_M, high), (place + DEPTH_M, low))
-    return Polygon([(forth - 0.5 * DEPTH_M) * out + side * left for forth, side in rows])
+    outward = np.sum([end.outward for end in arm], axis=0)
+    outward = outward / np.hypot(*outward)
+    left = np.array([-outward[1], outward[0]])
+    near_m = min(_dot(end.xy_m, outward) for end in arm) - INSIDE_M
+    far_m = near_m + DEPTH_M
+    lanes = [(_dot(end.xy_m, left), 0.5 * end.width_m) for end in arm]
+    right_m, left_m = min(d - half for d, half in lanes), max(d + half for d, half in lanes)
+    corners = ((near_m, right_m), (near_m, left_m), (far_m, left_m), (far_m, right_m))
+    return Polygon([(s - 0.5 * DEPTH_M) * outward + d * left for s, d in corners])
 
 
 def _dot(a: FloatArray, b: FloatArray) -> float:
-    """Return the product of two vectors, to the same last bit on every machine, as BLAS's is not."""
+    """Return the dot product of two vectors (2,); unlike BLAS's, the last bit is the same on every machine."""
     return float(a[0] * b[0] + a[1] * b[1])

@@ -1,4 +1,4 @@
-"""Green for people on foot in a signal's program, so that nobody who drives straight on has green with them."""
+"""Adds green phases for pedestrians to traffic light programs; vehicles that go straight over them then have red."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from advdiff_sumo.core.signal_letters import (
 )
 from advdiff_sumo.maps.signal_times import LONGEST_ALL_RED_S, rounded_up_s, yellow_at_s
 
-WALK_MPS = 1.2  # by which people have cleared the crossing when others get green
-WALK_S = 10
-_CHANGES = YELLOW | {RED_YELLOW, BLINKING}
-_HALTS = frozenset((PLAIN_RED, STOP_THEN_YIELD))
+WALK_MPS = 1.2  # walking speed for the time until vehicles get green
+WALK_S = 10  # length of a phase for pedestrians only
+_TRANSITION_LETTERS = YELLOW | {RED_YELLOW, BLINKING}
+_STOP_LETTERS = frozenset((PLAIN_RED, STOP_THEN_YIELD))
 
 
 @dataclass(frozen=True)
 class SignalledCrossing:
-    """A crossing of a signalled junction.
+    """A crossing of a junction with a traffic light.
 
     Attributes:
-        index: its link in the program.
-        straight: links that lead straight over it.
-        turning: links that turn over it, which yield to who walks.
-        length_m: from kerb to kerb.
-        all_red_s: seconds in which a vehicle that leads over it, and passed its stop line last, has passed it.
+        index: its index in the states of the program.
+        straight: indices of the links that go straight on over it.
+        turning: indices of the links that turn over it; they yield to pedestrians.
+        length_m: length from kerb to kerb.
+        all_red_s: time that a vehicle needs from its stop line until its rear has passed the crossing.
     """
 
     index: int
@@ -47,56 +47,61 @@ class SignalledCrossing:
 
     @property
     def clearance_s(self) -> int:
-        """Seconds that somebody needs who has just set out."""
+        """Time that a pedestrian needs to cross, rounded up."""
         return math.ceil(self.length_m / WALK_MPS)
 
 
 def add_crossings(
     program: ET.Element, crossings: Sequence[SignalledCrossing], approach_mps: float = 0.0
 ) -> None:
-    """Give *crossings* green in *program* where those that lead straight over them are red.
+    """Add green for pedestrians on *crossings* to *program*.
 
-    Turning traffic that has green then yields (``g``). Before others get green, people get red for as long as
-    one needs to cross. A crossing that no phase serves gets a phase of its own, with red for all vehicles; where
-    these have green just before, with yellow for the fastest of them (*approach_mps*) and all-red between.
+    1. A crossing gets green in phases in which the links straight over it have red. Links that turn over it and have
+       green then yield (``g``).
+    2. Crossings without green in any phase share a phase at the end of the program with red for all vehicles. If
+       vehicles have green just before it, a yellow time for the speed *approach_mps* and all-red are inserted.
+    3. Green for pedestrians ends early enough that they have crossed before vehicles get green.
     """
     size = max(crossing.index for crossing in crossings) + 1
     phases = program.findall("phase")
     states = [list(phase.get("state", "").ljust(size, PLAIN_RED)) for phase in phases]
     clearing = [_is_clearing(states[number - 1], state) for number, state in enumerate(states)]
-    for state, waits in zip(states, clearing, strict=True):
+    for state, is_clearing in zip(states, clearing, strict=True):
         for crossing in crossings:
-            state[crossing.index] = PROTECTED_GREEN if not waits and _may_walk(state, crossing) else PLAIN_RED
+            is_green = not is_clearing and _is_free(state, crossing)
+            state[crossing.index] = PROTECTED_GREEN if is_green else PLAIN_RED
         for crossing in crossings:
             if state[crossing.index] == PROTECTED_GREEN:
                 for link in crossing.turning:
                     state[link] = YIELDING_GREEN if state[link] == PROTECTED_GREEN else state[link]
     for phase, state in zip(phases, states, strict=True):
         phase.set("state", "".join(state))
-    _serve_the_rest(program, crossings, approach_mps)
-    _clear(program, crossings)
+    _add_walk_phase(program, crossings, approach_mps)
+    _add_clearance_phases(program, crossings)
 
 
 def _is_clearing(before: Sequence[str], state: Sequence[str]) -> bool:
-    """Return whether vehicles that had yellow get clear in a phase, in which nobody goes who had to wait before."""
+    """Return whether *state* only clears the junction: *before* had yellow, and no link gets another green."""
     greens = [
-        {(index, light) for index, light in enumerate(part) if light in GREEN} for part in (before, state)
+        {(index, light) for index, light in enumerate(lights) if light in GREEN} for lights in (before, state)
     ]
     return not YELLOW.isdisjoint(before) and greens[1] <= greens[0]
 
 
-def _may_walk(state: Sequence[str], crossing: SignalledCrossing) -> bool:
-    if any(light in _CHANGES for light in state):
+def _is_free(state: Sequence[str], crossing: SignalledCrossing) -> bool:
+    """Return whether no light is in transition and the links straight over *crossing* have red."""
+    if any(light in _TRANSITION_LETTERS for light in state):
         return False
-    return all(state[link] in _HALTS for link in crossing.straight)
+    return all(state[link] in _STOP_LETTERS for link in crossing.straight)
 
 
-def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing], approach_mps: float) -> None:
+def _add_walk_phase(program: ET.Element, crossings: Sequence[SignalledCrossing], approach_mps: float) -> None:
+    """Append a phase with green for the crossings that have no green so far; see :func:`add_crossings`."""
     phases = program.findall("phase")
-    rest = [
+    without_green = [
         c for c in crossings if all(phase.get("state", "")[c.index] != PROTECTED_GREEN for phase in phases)
     ]
-    if not rest:
+    if not without_green:
         return
     last = phases[-1].get("state", "")
     if any(light in GREEN for light in last):
@@ -104,43 +109,46 @@ def _serve_the_rest(program: ET.Element, crossings: Sequence[SignalledCrossing],
         for crossing in crossings:
             yellow = yellow[: crossing.index] + PLAIN_RED + yellow[crossing.index + 1 :]
         ET.SubElement(program, "phase", duration=f"{yellow_at_s(approach_mps):g}", state=yellow)
-        all_red_s = min(rounded_up_s(max(crossing.all_red_s for crossing in rest)), LONGEST_ALL_RED_S)
+        all_red_s = min(rounded_up_s(max(c.all_red_s for c in without_green)), LONGEST_ALL_RED_S)
         if all_red_s > 0.0:
             ET.SubElement(program, "phase", duration=f"{all_red_s:g}", state=PLAIN_RED * len(last))
     walk = [PLAIN_RED] * len(last)
-    for crossing in rest:
+    for crossing in without_green:
         walk[crossing.index] = PROTECTED_GREEN
     ET.SubElement(program, "phase", duration=str(WALK_S), state="".join(walk))
 
 
-def _change_s(phases: Sequence[ET.Element], number: int) -> float:
-    """Return the seconds of yellow in phase *number*, 0 without, and of clearing in the next."""
-    now, after = phases[number % len(phases)], phases[(number + 1) % len(phases)]
-    if YELLOW.isdisjoint(now.get("state", "")):
+def _transition_s(phases: Sequence[ET.Element], number: int) -> float:
+    """Return the duration of phase *number* and a clearing phase after it; 0 if phase *number* has no yellow."""
+    phase, following = phases[number % len(phases)], phases[(number + 1) % len(phases)]
+    if YELLOW.isdisjoint(phase.get("state", "")):
         return 0.0
-    clearing = _is_clearing(now.get("state", ""), after.get("state", ""))
-    return sum(float(phase.get("duration", "0")) for phase in ((now, after) if clearing else (now,)))
+    is_clearing = _is_clearing(phase.get("state", ""), following.get("state", ""))
+    return sum(float(p.get("duration", "0")) for p in ((phase, following) if is_clearing else (phase,)))
 
 
-def _clear(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
-    """Put a phase before each end of people's green in which they have red and the vehicles what they had."""
+def _add_clearance_phases(program: ET.Element, crossings: Sequence[SignalledCrossing]) -> None:
+    """After each green for pedestrians, insert a phase with red for them in which all other lights are unchanged.
+
+    Together with a transition of the vehicles' lights after it, it lasts as long as a pedestrian needs to cross.
+    """
     phases = program.findall("phase")
     for number, phase in enumerate(phases):
-        after = phases[(number + 1) % len(phases)]
-        state, following = phase.get("state", ""), after.get("state", "")
+        state = phase.get("state", "")
+        next_state = phases[(number + 1) % len(phases)].get("state", "")
         ending = [
             c
             for c in crossings
-            if state[c.index] == PROTECTED_GREEN and following[c.index] != PROTECTED_GREEN
+            if state[c.index] == PROTECTED_GREEN and next_state[c.index] != PROTECTED_GREEN
         ]
         if not ending:
             continue
-        clearance_s = math.ceil(max(c.clearance_s for c in ending) - _change_s(phases, number + 1))
+        clearance_s = math.ceil(max(c.clearance_s for c in ending) - _transition_s(phases, number + 1))
         if clearance_s > 0:
-            clear = deepcopy(phase)
-            clear.attrib.pop("minDur", None)
-            clear.attrib.pop("maxDur", None)
-            clear.set("duration", str(clearance_s))
+            clearance = deepcopy(phase)
+            clearance.attrib.pop("minDur", None)
+            clearance.attrib.pop("maxDur", None)
+            clearance.set("duration", str(clearance_s))
             red = {c.index for c in ending}
-            clear.set("state", "".join(PLAIN_RED if n in red else light for n, light in enumerate(state)))
-            program.insert(list(program).index(phase) + 1, clear)
+            clearance.set("state", "".join(PLAIN_RED if n in red else light for n, light in enumerate(state)))
+            program.insert(list(program).index(phase) + 1, clearance)

@@ -1,4 +1,4 @@
-"""Readers of driving logs."""
+"""Reads driving logs; one reader for each format."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _ADVICE = {
 
 
 def open_log(path: Path) -> LogReader:
-    """Return the reader for the log at *path*: of whichever kind :data:`LOGS` names.
+    """Return the reader for the log at *path*, which is of one of the kinds that :data:`LOGS` lists.
 
     Raises:
-        LogError: there is nothing, or nothing that is known.
+        LogError: *path* does not exist or is of no known kind.
     """
     if not path.exists():
         raise LogError(path, "no such log", f"logs that are known are those of {LOGS}")
@@ -57,9 +57,9 @@ def open_log(path: Path) -> LogReader:
 
 
 def _unknown(path: Path) -> LogError:
-    """Return the error for a file or folder of no known kind: what was looked for, and what may help."""
-    inside = [path] if path.is_file() else list(path.iterdir())
-    marks = (mark for mark in _ADVICE for file in inside if mark in file.name)
+    """Return the error for a file or folder of no known kind, with the known kinds and advice."""
+    files = [path] if path.is_file() else list(path.iterdir())
+    marks = (mark for mark in _ADVICE for file in files if mark in file.name)
     problem = (
         "is no driving log of a known kind" if path.is_file() else "holds no driving log of a known kind"
     )

@@ -1,4 +1,4 @@
-"""Argoverse 2 motion forecasting (Wilson et al. 2021, arXiv:2301.00493): ``scenario_*.parquet``, 10 Hz, 11 s."""
+"""Reads Argoverse 2 motion forecasting scenarios (Wilson et al. 2021, arXiv:2301.00493): 10 Hz, 11 s."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import annotated, parked_agents, without_jitter
+from advdiff_sumo.data.motion import annotated_tracks, parked_agents, without_jitter
 from advdiff_sumo.data.scene_files import SceneFiles
 
 DT_S = 0.1
@@ -36,15 +36,15 @@ SIZES_M = {  # the files hold no sizes
     AgentClass.PEDESTRIAN: (0.6, 0.6),
 }
 PARKED_RECORDED_MPS = 0.5
-"""Who is recorded at no higher speed at any instant is parked, though its box wanders by metres as it is seen anew."""
+"""An agent whose recorded speed never exceeds this is parked; its box may still wander by metres."""
 _AGAIN = "give an unchanged scenario_*.parquet"
 
 
 class Argoverse2Reader(SceneFiles):
-    """Reads one ``scenario_*.parquet`` or the ones below a folder; a scene is named by its scenario's id.
+    """Reads one ``scenario_*.parquet`` or all below a folder; a scene has the name of its scenario's id.
 
-    Riderless bicycles, static objects and background are left out; sizes are those usual for the class, as the
-    files hold none.
+    Riderless bicycles, static objects and background are left out. The files have no sizes, so each agent has the
+    usual size of its class.
     """
 
     kind, remedy = "scenario", _AGAIN
@@ -57,16 +57,16 @@ class Argoverse2Reader(SceneFiles):
         """Return the map beside the scenario.
 
         Raises:
-            LogError: it is not there.
+            LogError: it does not exist.
         """
         path = self.files()[name]
-        beside = path.with_name(f"log_map_archive_{path.stem.removeprefix(PREFIX)}.json")
-        if not beside.exists():
-            raise LogError(beside, "no such map", "unpack the scenario's folder whole, or give a --net")
-        return beside
+        map_path = path.with_name(f"log_map_archive_{path.stem.removeprefix(PREFIX)}.json")
+        if not map_path.exists():
+            raise LogError(map_path, "no such map", "unpack the scenario's folder whole, or give a --net")
+        return map_path
 
     def paths(self) -> dict[Path, str]:
-        """Return file → id of every scenario, searched recursively."""
+        """Return file → id of every scenario; folders are searched recursively."""
         paths = [self.path] if self.path.is_file() else sorted(self.path.rglob(SCENARIOS))
         if not paths:
             raise LogError(self.path, f"no such file or folder of {SCENARIOS}", "give one of these")
@@ -102,23 +102,23 @@ def _scene(name: str, path: Path, table: dict[str, Any]) -> LogScene:
 
 
 def _recorded_standing(table: dict[str, Any], ids: list[str]) -> BoolArray:
-    """Return which agents (A,) have no recorded speed over :data:`PARKED_RECORDED_MPS`."""
-    fast = np.hypot(table["velocity_x"], table["velocity_y"]) > PARKED_RECORDED_MPS
-    moving = {str(track) for track in table["track_id"][fast]}
-    return np.array([track not in moving for track in ids])
+    """Return (A,) whether the recorded speeds of each agent never exceed :data:`PARKED_RECORDED_MPS`."""
+    is_moving = np.hypot(table["velocity_x"], table["velocity_y"]) > PARKED_RECORDED_MPS
+    moving_ids = {str(track) for track in table["track_id"][is_moving]}
+    return np.array([track not in moving_ids for track in ids])
 
 
 def _tracks(table: dict[str, Any], ids: list[str], kinds: list[AgentClass | None]) -> Tracks:
     row_of = {track: row for row, track in enumerate(ids)}
     steps = int(table["timestep"].max()) + 1
     rows = np.array([row_of.get(str(track), -1) for track in table["track_id"]])
-    kept = rows >= 0
-    at = rows[kept], table["timestep"][kept].astype(np.int64)
+    is_kept = rows >= 0
+    cells = rows[is_kept], table["timestep"][is_kept].astype(np.int64)
     xy = np.full((len(ids), steps, 2), np.nan)
     yaw = np.full((len(ids), steps), np.nan)
-    xy[at] = np.stack((table["position_x"][kept], table["position_y"][kept]), axis=-1)
-    yaw[at] = table["heading"][kept]
-    if not (np.isfinite(xy[at]).all() and np.isfinite(yaw[at]).all()):
+    xy[cells] = np.stack((table["position_x"][is_kept], table["position_y"][is_kept]), axis=-1)
+    yaw[cells] = table["heading"][is_kept]
+    if not (np.isfinite(xy[cells]).all() and np.isfinite(yaw[cells]).all()):
         raise ValueError("a state is not finite")
     sizes = np.array([SIZES_M[AgentClass(kind)] for kind in kinds if kind is not None])
-    return annotated(ids, kinds, sizes, xy, yaw, DT_S)
+    return annotated_tracks(ids, kinds, sizes, xy, yaw, DT_S)

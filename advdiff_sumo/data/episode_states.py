@@ -1,4 +1,4 @@
-"""Turns the rows of ``states.parquet`` of one episode back into tracks."""
+"""Converts the rows of one episode in ``states.parquet`` into tracks."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ STATE_COLUMNS = (
     *("episode", "step", "time_s", "agent", "class", "length_m", "width_m"),
     *("x_m", "y_m", "yaw_rad", "speed_mps", "is_target"),
 )
-"""Columns of ``states.parquet`` that are read."""
+"""Columns of ``states.parquet`` that :func:`states_of` needs."""
 _DEFAULT_STEP_S = 0.1
 
 
 @dataclass(frozen=True)
 class EpisodeStates:
-    """Tracks of one episode and who of them was tested.
+    """The tracks of one episode.
 
     Attributes:
-        tracks: (A, T) states at SUMO's step, agents in the order of the table.
-        target: row of the tested vehicle.
-        moved: rows of those that the background policy ever moved.
+        tracks: (A, T) states at SUMO's time step, agents in the order of the table.
+        target: row of the target.
+        moved: rows of the agents that the background policy moved at any step.
     """
 
     tracks: Tracks
@@ -35,36 +35,36 @@ class EpisodeStates:
 
 
 def states_of(table: pa.Table) -> EpisodeStates | None:
-    """Return the tracks in *table* (rows of one episode, in any order); None when no target is among them."""
+    """Return the tracks in *table*, rows of one episode in any order; None if they contain no target."""
     names = np.array(table["agent"].to_pylist(), dtype=object)
     is_target = np.asarray(table["is_target"].to_numpy(), dtype=np.bool_)
     if not is_target.any():
         return None
     ids = tuple(dict.fromkeys(names.tolist()))
-    index = {name: row for row, name in enumerate(ids)}
-    agent = np.array([index[name] for name in names], dtype=np.int64)
+    row_of = {name: row for row, name in enumerate(ids)}
+    agent = np.array([row_of[name] for name in names], dtype=np.int64)
     step = np.asarray(table["step"].to_numpy(), dtype=np.int64)
     first = np.unique(agent, return_index=True)[1]
     shape = (len(ids), int(step.max()) + 1)
 
-    def spread(column: str) -> FloatArray:
-        filled = np.full(shape, np.nan)
-        filled[agent, step] = _real(table, column)
-        return filled
+    def by_agent_and_step(column: str) -> FloatArray:
+        values = np.full(shape, np.nan)
+        values[agent, step] = _floats(table, column)
+        return values
 
     classes = [AgentClass[str(name).upper()] for name in table["class"].take(first).to_pylist()]
     tracks = Tracks(
         ids=ids,
         classes=np.array([int(c) for c in classes], dtype=np.int64),
-        size_m=np.stack((_real(table, "length_m")[first], _real(table, "width_m")[first]), axis=1),
-        xy_m=np.stack((spread("x_m"), spread("y_m")), axis=-1),
-        yaw_rad=spread("yaw_rad"),
-        speed_mps=spread("speed_mps"),
-        valid=np.isfinite(spread("x_m")),
+        size_m=np.stack((_floats(table, "length_m")[first], _floats(table, "width_m")[first]), axis=1),
+        xy_m=np.stack((by_agent_and_step("x_m"), by_agent_and_step("y_m")), axis=-1),
+        yaw_rad=by_agent_and_step("yaw_rad"),
+        speed_mps=by_agent_and_step("speed_mps"),
+        valid=np.isfinite(by_agent_and_step("x_m")),
         t0_s=0.0,
-        dt_s=_step_s(step, _real(table, "time_s")),
+        dt_s=_step_s(step, _floats(table, "time_s")),
     )
-    return EpisodeStates(tracks, index[names[int(np.argmax(is_target))]], _moved(table, agent))
+    return EpisodeStates(tracks, row_of[names[int(np.argmax(is_target))]], _moved(table, agent))
 
 
 def _moved(table: pa.Table, agent: IntArray) -> frozenset[int]:
@@ -74,10 +74,10 @@ def _moved(table: pa.Table, agent: IntArray) -> frozenset[int]:
     return frozenset(np.unique(agent[by_policy]).tolist())
 
 
-def _real(table: pa.Table, column: str) -> FloatArray:
+def _floats(table: pa.Table, column: str) -> FloatArray:
     return np.asarray(table[column].to_numpy(), dtype=np.float64)
 
 
 def _step_s(step: IntArray, time_s: FloatArray) -> float:
-    latest = int(np.argmax(step))
-    return round(float(time_s[latest] / step[latest]), 9) if step[latest] > 0 else _DEFAULT_STEP_S
+    last = int(np.argmax(step))
+    return round(float(time_s[last] / step[last]), 9) if step[last] > 0 else _DEFAULT_STEP_S

@@ -1,4 +1,4 @@
-"""What every log reader gives."""
+"""Defines the interface of log readers and the scene that they return."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from advdiff_sumo.core.scene import Tracks
 
 @dataclass(frozen=True)
 class LogScene:
-    """One recorded drive; A agents, T keyframes.
+    """A recorded drive with A agents and T keyframes.
 
     Attributes:
         name: the log's own name of it, such as "scene-0061".
-        location: name of the map it was driven on, "" where the log has none.
+        location: name of the map on which it was driven; "" if the log has none.
         tracks: (A, T) states in the map's frame, first keyframe at t = 0.
         ego: row of the recording vehicle.
-        parked: (A,) agents that never move beyond annotation noise.
-        source: file or folder it was read from.
+        parked: (A,) whether each agent never moves beyond annotation noise.
+        source: file or folder from which it was read.
     """
 
     name: str

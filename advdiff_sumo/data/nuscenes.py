@@ -1,8 +1,8 @@
-"""nuScenes: boxes at 2 Hz keyframes from the published tables, without the devkit.
+"""Reads the boxes of nuScenes at its 2 Hz keyframes from the published tables, without the devkit.
 
-Caesar et al. 2020 (arXiv:1903.11027). Boxes are annotated at their centre in the frame of the map
-expansion. The ego pose is the middle of the rear axle; the recording cars are Renault Zoes, whose box centre
-lies 1.385 m ahead of it (docs/data.md).
+Caesar et al. 2020 (arXiv:1903.11027). Boxes are annotated by their centres in the frame of the map expansion. The ego
+pose is the middle of the rear axle. The recording cars are Renault Zoes, whose box centre is 1.385 m ahead of it
+(docs/data.md).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from advdiff_sumo.core.errors import LogError, UnknownNameError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import annotated, parked_agents, without_jitter
+from advdiff_sumo.data.motion import annotated_tracks, parked_agents, without_jitter
 from advdiff_sumo.data.nuscenes_index import (
     KEYFRAME_S,
     Boxes,
@@ -41,17 +41,17 @@ ZOE_CENTRE_AHEAD_M = ZOE_LENGTH_M / 2.0 - ZOE_REAR_OVERHANG_M
 
 
 class NuScenesReader:
-    """Reads the scenes of a nuScenes dataset root.
+    """Reads the scenes of a nuScenes dataset.
 
-    Nothing is read before it is asked for; the tables are joined once, at the first scene.
+    Tables are read when they are first needed, and joined once, at the first scene.
     """
 
     def __init__(self, root: str | Path, version: str | None = None) -> None:
-        """Point at a dataset.
+        """Create the reader of a dataset.
 
         Args:
-            root: folder that holds ``v1.0-mini``, ``v1.0-trainval`` …, or such a folder itself.
-            version: which of them; may be None where there is only one.
+            root: folder that contains ``v1.0-mini``, ``v1.0-trainval`` …, or such a folder itself.
+            version: name of one of these folders; may be None if there is only one.
         """
         self.root = Path(root)
         self.version = version
@@ -61,7 +61,7 @@ class NuScenesReader:
         return [entry.name for entry in self._entries]
 
     def read(self, name: str) -> LogScene:
-        """Return one scene; the ego is row 0, the others follow in the order of ``instance.json``.
+        """Return one scene; the ego is row 0, the other agents follow in the order of ``instance.json``.
 
         Raises:
             UnknownNameError: there is no such scene.
@@ -105,7 +105,7 @@ class NuScenesReader:
         """Folder of the tables.
 
         Raises:
-            LogError: there is none, or several and no version was given.
+            LogError: there is none, or there are several and no version was given.
         """
         if self.version is not None:
             folders = [self.root / self.version]
@@ -114,8 +114,8 @@ class NuScenesReader:
         else:
             folders = sorted(p.parent for p in self.root.glob("v1.0-*/scene.json"))
         if not folders or not folders[0].is_dir():
-            named = self.version or "v1.0-* folder with a scene.json"
-            raise LogError(self.root, f"holds no {named}", "give the root of a nuScenes dataset")
+            wanted = self.version or "v1.0-* folder with a scene.json"
+            raise LogError(self.root, f"holds no {wanted}", "give the root of a nuScenes dataset")
         if len(folders) > 1:
             versions = ", ".join(p.name for p in folders)
             raise LogError(self.root, f"holds several versions ({versions})", "give one of these folders")
@@ -139,6 +139,8 @@ class NuScenesReader:
 
 @dataclass(frozen=True)
 class _Joined:
+    """The joined tables; lists have one item for each scene."""
+
     keyframes: list[Keyframes]
     ego: list[FloatArray]
     instances: Instances
@@ -147,30 +149,31 @@ class _Joined:
 
 def _tracks(frames: Keyframes, ego: FloatArray, boxes: Boxes, instances: Instances, folder: Path) -> Tracks:
     """Return the tracks of one scene; row 0 is the ego."""
-    present, row = np.unique(boxes.instance, return_inverse=True)
+    instance_rows, row = np.unique(boxes.instance, return_inverse=True)
     steps = int(frames.slot[-1]) + 1
-    pose = np.full((len(present) + 1, steps, 3), np.nan)
+    pose = np.full((len(instance_rows) + 1, steps, 3), np.nan)
     pose[0, frames.slot] = ego
     pose[0, frames.slot, :2] += ZOE_CENTRE_AHEAD_M * unit(ego[:, 2])
     _refuse_doubles(row, boxes, instances, folder)
     pose[1 + row, boxes.slot] = boxes.values[:, :3]
-    ids = (EGO_ID, *(instances.tokens[i] for i in present))
-    classes = [AgentClass.CAR, *(instances.classes[i] for i in present)]
-    sizes = np.vstack(([ZOE_LENGTH_M, ZOE_WIDTH_M], _sizes(row, boxes, len(present))))
-    return annotated(ids, classes, sizes, pose[..., :2], pose[..., 2], KEYFRAME_S)
+    ids = (EGO_ID, *(instances.tokens[i] for i in instance_rows))
+    classes = [AgentClass.CAR, *(instances.classes[i] for i in instance_rows)]
+    sizes = np.vstack(([ZOE_LENGTH_M, ZOE_WIDTH_M], _sizes(row, boxes, len(instance_rows))))
+    return annotated_tracks(ids, classes, sizes, pose[..., :2], pose[..., 2], KEYFRAME_S)
 
 
 def _sizes(row: IntArray, boxes: Boxes, agents: int) -> FloatArray:
-    """Return each agent's median length and width (A, 2)."""
+    """Return the median length and width (A, 2) of each agent; *row* is the agent of each box."""
     if agents == 0:
         return np.zeros((0, 2))
     return np.array([np.median(boxes.values[row == i, 3:], axis=0) for i in range(agents)])
 
 
 def _refuse_doubles(row: IntArray, boxes: Boxes, instances: Instances, folder: Path) -> None:
+    """Raise if an agent has two boxes at one keyframe."""
     key = np.column_stack((row, boxes.slot))
     _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-    for at in first[count > 1][:1]:
-        token = instances.tokens[boxes.instance[at]]
-        problem = f"instance {token} has two boxes at keyframe {boxes.slot[at]}"
+    for box in first[count > 1][:1]:
+        token = instances.tokens[boxes.instance[box]]
+        problem = f"instance {token} has two boxes at keyframe {boxes.slot[box]}"
         raise LogError(folder / "sample_annotation.json", problem, "remove one of them")

@@ -1,4 +1,4 @@
-"""The nuScenes tables joined once: scenes with their keyframes, ego poses and boxes as columns."""
+"""Reads and joins the nuScenes tables: scenes with their keyframes, ego poses and boxes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CLASSES = {
 
 
 def agent_class(category: str) -> AgentClass | None:
-    """Return the class of a nuScenes *category*; None for what is no road user (cones, barriers, animals)."""
+    """Return the class of a nuScenes *category*; None if it is no road user (cones, barriers, animals)."""
     for prefix, value in _CLASSES.items():
         if category == prefix or category.startswith(prefix + "."):
             return value
@@ -43,13 +43,13 @@ def agent_class(category: str) -> AgentClass | None:
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """One row of ``scene.json`` with its log's map.
+    """A row of ``scene.json`` with the map of its log.
 
     Attributes:
         token: key of the scene.
-        name: such as "scene-0061".
+        name: name of the scene, such as "scene-0061".
         location: name of the map.
-        samples: number of keyframes that the table promises.
+        samples: number of keyframes that the table states.
     """
 
     token: str
@@ -63,8 +63,8 @@ class Keyframes:
     """The K keyframes of one scene.
 
     Attributes:
-        tokens: of the samples, in order of time.
-        slot: (K,) index of each on the even 2 Hz clock; a dropped keyframe leaves a slot empty.
+        tokens: tokens of the samples, ordered by time.
+        slot: (K,) index of each keyframe on a regular 2 Hz clock; a missing keyframe leaves a slot empty.
     """
 
     tokens: tuple[str, ...]
@@ -76,9 +76,9 @@ class Boxes:
     """N annotated boxes of road users, sorted by scene; columns are (N,).
 
     Attributes:
-        scene: token's number of the scene.
-        slot: keyframe on the scene's clock.
-        instance: number of the instance.
+        scene: index of the scene.
+        slot: slot of the keyframe on the scene's clock.
+        instance: index of the road user in :class:`Instances`.
         values: (N, 5) x, y, yaw, length, width.
     """
 
@@ -89,19 +89,20 @@ class Boxes:
 
     def of(self, scene: int) -> Boxes:
         """Return the boxes of one scene."""
-        lo, hi = np.searchsorted(self.scene, [scene, scene + 1])
-        return Boxes(self.scene[lo:hi], self.slot[lo:hi], self.instance[lo:hi], self.values[lo:hi])
+        start, stop = np.searchsorted(self.scene, [scene, scene + 1])
+        rows = slice(start, stop)
+        return Boxes(self.scene[rows], self.slot[rows], self.instance[rows], self.values[rows])
 
 
 def read_scenes(folder: Path) -> list[SceneEntry]:
-    """Return the scenes of a version *folder* in the table's order."""
-    located = dict(parsed(folder / "log.json", lambda r: (r["token"], str(r["location"]))))
+    """Return the scenes of a version *folder*, in the table's order."""
+    locations = dict(parsed(folder / "log.json", lambda r: (r["token"], str(r["location"]))))
 
     def entry(record: dict[str, Any]) -> SceneEntry:
         log = record["log_token"]
-        if log not in located:
+        if log not in locations:
             raise ValueError(f"log_token {log} is not in log.json")
-        return SceneEntry(record["token"], str(record["name"]), located[log], int(record["nbr_samples"]))
+        return SceneEntry(record["token"], str(record["name"]), locations[log], int(record["nbr_samples"]))
 
     return list(parsed(folder / "scene.json", entry))
 
@@ -110,7 +111,7 @@ def read_keyframes(folder: Path, scenes: Sequence[SceneEntry]) -> list[Keyframes
     """Return the keyframes of each of *scenes*.
 
     Raises:
-        LogError: a scene has another number of samples than it promises.
+        LogError: the number of samples of a scene differs from what ``scene.json`` states.
     """
     path = folder / "sample.json"
     by_scene: dict[str, list[tuple[int, str]]] = {scene.token: [] for scene in scenes}
@@ -118,14 +119,14 @@ def read_keyframes(folder: Path, scenes: Sequence[SceneEntry]) -> list[Keyframes
         if scene not in by_scene:
             raise LogError(path, f"sample {token} names scene {scene}, which scene.json lacks", _REPAIR)
         by_scene[scene].append((time_us, token))
-    result = []
+    keyframes = []
     for entry in scenes:
-        keyframes = sorted(by_scene[entry.token])
-        if len(keyframes) != entry.samples or not keyframes:
-            problem = f"has {len(keyframes)} of the {entry.samples} samples of {entry.name}"
+        timed_tokens = sorted(by_scene[entry.token])
+        if len(timed_tokens) != entry.samples or not timed_tokens:
+            problem = f"has {len(timed_tokens)} of the {entry.samples} samples of {entry.name}"
             raise LogError(path, problem, _REPAIR)
-        result.append(_keyframes(keyframes))
-    return result
+        keyframes.append(_keyframes(timed_tokens))
+    return keyframes
 
 
 def _keyframes(timed_tokens: Sequence[tuple[int, str]]) -> Keyframes:
@@ -135,51 +136,52 @@ def _keyframes(timed_tokens: Sequence[tuple[int, str]]) -> Keyframes:
 
 
 def read_ego_poses(folder: Path, keyframes: Sequence[Keyframes]) -> list[FloatArray]:
-    """Return for each scene (K, 3) x, y, yaw of the ego frame (mid rear axle) at its keyframes.
+    """Return for each scene (K, 3) x, y, yaw of the ego frame (middle of the rear axle) at its keyframes.
 
-    A keyframe takes the pose of the key-frame record that is nearest in time to the sample: the lidar
-    sweep that the boxes were annotated in.
+    A sample has the pose of its key-frame record that is nearest in time. That is the lidar sweep in which the boxes
+    were annotated.
     """
-    wanted = _ego_tokens(folder, {token for frames in keyframes for token in frames.tokens})
-    users = set(wanted.values())
+    pose_tokens = _ego_pose_tokens(folder, {token for frames in keyframes for token in frames.tokens})
+    used_tokens = set(pose_tokens.values())
     path = folder / "ego_pose.json"
-    rows = parsed(path, lambda r: (r["token"], _pose(r) if r["token"] in users else None))
+    rows = parsed(path, lambda r: (r["token"], _pose(r) if r["token"] in used_tokens else None))
     poses = {token: pose for token, pose in rows if pose is not None}
-    missing = sorted(users - poses.keys())
+    missing = sorted(used_tokens - poses.keys())
     if missing:
         raise LogError(path, f"has no record {missing[0]}, which sample_data.json names", _REPAIR)
-    return [np.array([poses[wanted[token]] for token in frames.tokens]) for frames in keyframes]
+    return [np.array([poses[pose_tokens[token]] for token in frames.tokens]) for frames in keyframes]
 
 
-def _ego_tokens(folder: Path, samples: set[str]) -> dict[str, str]:
+def _ego_pose_tokens(folder: Path, samples: set[str]) -> dict[str, str]:
+    """Return sample token → token of its ego pose."""
     times = dict(parsed(folder / "sample.json", lambda r: (r["token"], int(r["timestamp"]))))
     path = folder / "sample_data.json"
-    best: dict[str, tuple[int, str]] = {}
+    nearest: dict[str, tuple[int, str]] = {}
 
-    def key(record: dict[str, Any]) -> tuple[str, tuple[int, str]] | None:
+    def candidate_of(record: dict[str, Any]) -> tuple[str, tuple[int, str]] | None:
         sample = record["sample_token"]
         if not record["is_key_frame"] or sample not in samples:
             return None
         return sample, (abs(int(record["timestamp"]) - times[sample]), record["ego_pose_token"])
 
-    for item in parsed(path, key):
+    for item in parsed(path, candidate_of):
         if item is not None:
             sample, candidate = item
-            best[sample] = min(best.get(sample, candidate), candidate)
-    missing = sorted(samples - best.keys())
+            nearest[sample] = min(nearest.get(sample, candidate), candidate)
+    missing = sorted(samples - nearest.keys())
     if missing:
         raise LogError(path, f"has no key frame of sample {missing[0]}", _REPAIR)
-    return {sample: token for sample, (_, token) in best.items()}
+    return {sample: token for sample, (_, token) in nearest.items()}
 
 
 @dataclass(frozen=True)
 class Instances:
-    """Road users of the dataset.
+    """The road users of the dataset.
 
     Attributes:
-        tokens: their names.
+        tokens: their tokens.
         classes: class of each.
-        number: token → index, of every instance; −1 for what is no road user.
+        number: instance token → index in *tokens*; −1 for instances that are not road users.
     """
 
     tokens: tuple[str, ...]
@@ -188,7 +190,7 @@ class Instances:
 
 
 def read_instances(folder: Path) -> Instances:
-    """Return the annotated things of a version *folder*."""
+    """Return the instances of a version *folder*."""
     categories = dict(parsed(folder / "category.json", lambda r: (r["token"], agent_class(str(r["name"])))))
 
     def entry(record: dict[str, Any]) -> tuple[str, AgentClass | None]:
@@ -204,8 +206,8 @@ def read_instances(folder: Path) -> Instances:
 
 
 def read_boxes(folder: Path, keyframes: Sequence[Keyframes], instances: Instances) -> Boxes:
-    """Return every road user's boxes."""
-    place = {
+    """Return the boxes of all road users."""
+    keyframe_of = {
         token: (scene, int(slot))
         for scene, frames in enumerate(keyframes)
         for token, slot in zip(frames.tokens, frames.slot, strict=True)
@@ -214,7 +216,7 @@ def read_boxes(folder: Path, keyframes: Sequence[Keyframes], instances: Instance
 
     def box(record: dict[str, Any]) -> tuple[float, ...] | None:
         sample, instance = record["sample_token"], record["instance_token"]
-        if sample not in place:
+        if sample not in keyframe_of:
             raise ValueError(f"sample_token {sample} is not in sample.json")
         if instance not in number:
             raise ValueError(f"instance_token {instance} is not in instance.json")
@@ -223,12 +225,12 @@ def read_boxes(folder: Path, keyframes: Sequence[Keyframes], instances: Instance
         width, length = float(record["size"][0]), float(record["size"][1])
         if not (0.0 < width < math.inf and 0.0 < length < math.inf):
             raise ValueError(f"size {record['size']} is no box")
-        return (*place[sample], number[instance], *_pose(record), length, width)
+        return (*keyframe_of[sample], number[instance], *_pose(record), length, width)
 
-    numbers = array("d")  # eight bytes each, where a list of tuples would take forty
+    values = array("d")  # 8 bytes a value; a list of tuples would need 40
     for row in parsed(folder / "sample_annotation.json", box):
-        numbers.extend(row or ())
-    table = np.array(numbers, dtype=np.float64).reshape(-1, 8)
+        values.extend(row or ())
+    table = np.array(values, dtype=np.float64).reshape(-1, 8)
     order = np.lexsort((table[:, 1], table[:, 2], table[:, 0]))
     table = table[order]
     keys = table[:, :3].astype(np.int64)
@@ -236,7 +238,7 @@ def read_boxes(folder: Path, keyframes: Sequence[Keyframes], instances: Instance
 
 
 def _pose(record: dict[str, Any]) -> tuple[float, float, float]:
-    """Return x, y, yaw of a record's translation and unit quaternion (w, x, y, z)."""
+    """Return x, y, yaw from a record's translation and unit quaternion (w, x, y, z)."""
     x, y = float(record["translation"][0]), float(record["translation"][1])
     qw, qx, qy, qz = (float(part) for part in record["rotation"])
     if not all(map(math.isfinite, (x, y, qw, qx, qy, qz))) or abs(qw**2 + qx**2 + qy**2 + qz**2 - 1.0) > 1e-2:

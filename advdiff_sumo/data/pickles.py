@@ -1,8 +1,8 @@
-"""Pickles of plain containers and NumPy arrays, read without running anything from them.
+"""Reads pickles of plain containers and NumPy arrays without executing code from them.
 
-A pickle names functions and has them called. Here only the names that arrays need are admitted, and
-they stand for small classes of this file that copy the numbers out; NumPy's own unpickling, which trusts its
-input, is never reached. Containers come as dict, list, tuple, set; ``defaultdict`` becomes dict.
+A pickle can name any function and have it called. Here only the names that arrays need are admitted. Each is replaced
+by a small class of this module that copies the numbers. NumPy's own unpickling, which trusts its input, is never used.
+Containers are returned as dict, list, tuple or set; ``defaultdict`` becomes dict.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from advdiff_sumo.core.errors import LogError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, unpacked
 
-_KINDS = "biufSU"  # bool, int, unsigned, float, bytes, text: numbers and names, never objects
+_KINDS = "biufSU"  # admitted kinds of dtype: bool, int, unsigned, float, bytes, text; never objects
 _AGAIN = "copy or convert the record again"
 _BROKEN = (
     EOFError,
@@ -36,10 +36,10 @@ _BROKEN = (
 
 
 def load_plain(path: Path) -> Any:
-    """Return the plain value in the pickle at *path*.
+    """Return the value in the pickle at *path*.
 
     Raises:
-        LogError: the file is missing, truncated, or holds anything but plain containers and arrays.
+        LogError: the file is missing or truncated, or contains anything other than plain containers and arrays.
     """
     try:
         return _plain(_Restricted(io.BytesIO(_content(path))).load(), {})
@@ -63,7 +63,7 @@ def _content(path: Path) -> bytes:
 
 
 class _Dtype:
-    """Stands for ``numpy.dtype`` in a pickle."""
+    """Replaces ``numpy.dtype`` in a pickle."""
 
     __slots__ = ("code", "order")
 
@@ -71,13 +71,13 @@ class _Dtype:
         self.code, self.order = code, "="
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Take the byte order; sub-arrays, fields and metadata are refused."""
+        """Set the byte order; sub-arrays, fields and metadata are refused."""
         if any(part is not None for part in state[2:5]):
             raise pickle.UnpicklingError("it holds a structured array")
         self.order = {"|": "=", "<": "<", ">": ">", "=": "="}[state[1]]
 
     def numpy(self) -> np.dtype[Any]:
-        """Return the dtype, if its kind is plain."""
+        """Return the dtype; refuse kinds that are not plain."""
         dtype = np.dtype(str(self.code))
         if dtype.kind not in _KINDS:
             raise pickle.UnpicklingError(f"it holds an array of {dtype}")
@@ -85,7 +85,7 @@ class _Dtype:
 
 
 class _Array:
-    """Stands for an array while its pickle is read (``numpy.core.multiarray._reconstruct``)."""
+    """Replaces an array while its pickle is read (``numpy.core.multiarray._reconstruct``)."""
 
     __slots__ = ("value",)
 
@@ -93,13 +93,13 @@ class _Array:
         self.value: NDArray[Any] | None = None
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Copy shape, dtype, order and raw bytes."""
+        """Copy the array from its shape, dtype, order and raw bytes."""
         _, shape, dtype, fortran, raw = state
         self.value = _copied(raw, dtype, shape, "F" if fortran else "C")
 
 
 class _Buffered(_Array):
-    """Stands for ``numpy.core.numeric._frombuffer``, an array in pickle protocol 5."""
+    """Replaces ``numpy.core.numeric._frombuffer``, an array in pickle protocol 5."""
 
     __slots__ = ()
 
@@ -109,7 +109,7 @@ class _Buffered(_Array):
 
 
 class _Scalar:
-    """Stands for a NumPy number (``numpy.core.multiarray.scalar``)."""
+    """Replaces a NumPy scalar (``numpy.core.multiarray.scalar``)."""
 
     __slots__ = ("value",)
 
@@ -125,16 +125,16 @@ def _copied(raw: object, dtype: object, shape: tuple[int, ...], order: Literal["
 
 
 class _Mapping(dict[Any, Any]):
-    """Stands for ``collections.defaultdict`` and ``OrderedDict``; drops the factory."""
+    """Replaces ``collections.defaultdict`` and ``OrderedDict``; ignores the factory."""
 
     __slots__ = ()
 
-    def __init__(self, *factory: object) -> None:  # noqa: ARG002 - dropped
+    def __init__(self, *factory: object) -> None:  # noqa: ARG002 - ignored
         super().__init__()
 
 
 class _Marker:
-    """Stands for a type that is only named: an array's class, a defaultdict's factory."""
+    """Replaces a type that a pickle may name but not call: an array's class, a defaultdict's factory."""
 
     __slots__ = ()
 
@@ -160,20 +160,21 @@ _ADMITTED: dict[tuple[str, str], type] = {
 
 class _Restricted(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
-        """Return the stand-in of an admitted name; refuse all others."""
+        """Return the replacement class of an admitted name; refuse all others."""
         admitted = _ADMITTED.get((module, name))
         if admitted is None:
             raise pickle.UnpicklingError(f"it asks for {module}.{name}")
         return type(admitted.__name__, (admitted,), {"__slots__": (), "__setstate__": _state_of(admitted)})
 
     def persistent_load(self, pid: Any) -> Any:
-        """Refuse references to the outside."""
+        """Refuse references to data outside the pickle."""
         raise pickle.UnpicklingError(f"it refers to outside data {pid!r}")
 
 
 def _state_of(kind: type) -> Any:
-    own = getattr(kind, "__setstate__", None)
-    return own if own is not None else _no_state
+    """Return the ``__setstate__`` of *kind*, or one that refuses."""
+    set_state = getattr(kind, "__setstate__", None)
+    return set_state if set_state is not None else _no_state
 
 
 def _no_state(self: object, state: object) -> None:  # noqa: ARG001 - the protocol of pickle
@@ -181,22 +182,25 @@ def _no_state(self: object, state: object) -> None:  # noqa: ARG001 - the protoc
 
 
 def _plain(value: Any, done: dict[int, Any]) -> Any:
-    """Return *value* with every stand-in replaced; *done* keeps shared values shared, by identity."""
+    """Return *value* with all replacement objects converted.
+
+    *done* maps the identity of each converted object to its result, so that shared objects remain shared.
+    """
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return value
     if id(value) in done:
-        if done[id(value)] is _UNDER_WAY:
+        if done[id(value)] is _IN_PROGRESS:
             raise pickle.UnpicklingError("a container holds itself")
         return done[id(value)]
-    done[id(value)] = _UNDER_WAY
-    done[id(value)] = result = _replaced(value, done)
+    done[id(value)] = _IN_PROGRESS
+    done[id(value)] = result = _converted(value, done)
     return result
 
 
-_UNDER_WAY = object()
+_IN_PROGRESS = object()
 
 
-def _replaced(value: Any, done: dict[int, Any]) -> Any:
+def _converted(value: Any, done: dict[int, Any]) -> Any:
     if isinstance(value, dict):
         return {_plain(k, done): _plain(v, done) for k, v in value.items()}
     for kind in (list, tuple, set, frozenset):

@@ -1,4 +1,4 @@
-"""The files of a run or sweep, read: one sentence says which of them is missing or damaged."""
+"""Reads the settings and tables of a run or sweep folder; errors name the missing or damaged file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from advdiff_sumo.core.errors import FileError
 
 RUN_SETTINGS, SWEEP_SETTINGS = "run.toml", "sweep.toml"
-#: Folder in a run's that holds its episodes until the last one is there.
+#: Folder inside a run folder that holds the finished episodes until the run is complete.
 RUN_PARTS = "parts"
 
 
@@ -24,9 +24,9 @@ class RunTables:
     """The folder of a run or sweep, finished or interrupted.
 
     Attributes:
-        folder: where it lies.
-        error: kind of error for a file that cannot be used.
-        remedy: what to do about it.
+        folder: path of the folder.
+        error: class of the errors to raise.
+        remedy: remedy that these errors state.
     """
 
     folder: Path
@@ -35,11 +35,11 @@ class RunTables:
 
     @property
     def is_sweep(self) -> bool:
-        """Whether it is a sweep's."""
+        """Whether it is the folder of a sweep."""
         return (self.folder / SWEEP_SETTINGS).exists()
 
     def path(self, table: str) -> Path:
-        """Return where *table* lies."""
+        """Return the path of the file of *table*."""
         return self.folder / f"{table}.parquet"
 
     def settings(self) -> dict[str, Any]:
@@ -57,20 +57,20 @@ class RunTables:
             raise self.error(path, f"cannot be read ({_line(error)})", self.remedy) from None
 
     def columns(self, table: str, needed: Iterable[str] = ()) -> set[str]:
-        """Return the columns that *table* has.
+        """Return the names of the columns of *table*.
 
         Raises:
-            FileError: it is missing or damaged, or lacks one that is *needed*.
+            FileError: it is missing or damaged, or lacks one of the columns *needed*.
         """
         path = self.path(table)
         try:
             present = set(pq.read_schema(path).names)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
-        lacking = [name for name in needed if name not in present]
-        if lacking:
+        missing = [name for name in needed if name not in present]
+        if missing:
             remedy = "repeat the run with this version of advdiff-sumo"
-            raise self.error(path, f"lacks the columns {', '.join(lacking)}", remedy)
+            raise self.error(path, f"lacks the columns {', '.join(missing)}", remedy)
         return present
 
     def rows(
@@ -80,21 +80,27 @@ class RunTables:
         episode: int | None = None,
         schema: pa.Schema | None = None,
     ) -> pa.Table:
-        """Return *columns* of *table*, or all, of one *episode*, or of all; with *schema*, what it lacks is null.
+        """Return rows of a table.
+
+        Args:
+            table: name of the table.
+            columns: columns to return; None: all.
+            episode: episode whose rows to return; None: all episodes.
+            schema: schema of the result; columns that the table lacks are null.
 
         Raises:
             FileError: it is missing or damaged.
         """
         path = self.path(table)
-        chosen = None if episode is None else pc.field("episode") == episode
+        filters = None if episode is None else pc.field("episode") == episode
         try:
-            named = None if columns is None else [*columns]
-            return pq.read_table(path, columns=named, filters=chosen, schema=schema)
+            names = None if columns is None else [*columns]
+            return pq.read_table(path, columns=names, filters=filters, schema=schema)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
 
     def all_episodes(self) -> list[dict[str, Any]]:
-        """Return the rows of ``episodes``; of those that failed before they had one, what ``failures`` tells.
+        """Return the rows of ``episodes`` and those of :meth:`unstarted`, ordered by episode.
 
         Raises:
             FileError: a table is missing or damaged.
@@ -103,10 +109,10 @@ class RunTables:
         return sorted([*rows, *self.unstarted(rows)], key=lambda row: int(row["episode"]))
 
     def unstarted(self, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Return of each failed episode that has none of *rows* its number, end, and why it failed."""
+        """Return a short row for each failed episode without one in *rows*: its number, end, and cause of failure."""
         if not self.path("failures").exists():
             return []
-        known = {int(row["episode"]) for row in rows}
+        listed = {int(row["episode"]) for row in rows}
         return [
             {
                 "episode": failure["episode"],
@@ -115,12 +121,12 @@ class RunTables:
                 "failure_message": failure["message"],
             }
             for failure in self.rows("failures").to_pylist()
-            if int(failure["episode"]) not in known
+            if int(failure["episode"]) not in listed
         ]
 
     def _unusable(self, path: Path, error: Exception) -> FileError:
-        missing = isinstance(error, FileNotFoundError)
-        return self.error(path, "is missing" if missing else f"is damaged ({_line(error)})", self.remedy)
+        is_missing = isinstance(error, FileNotFoundError)
+        return self.error(path, "is missing" if is_missing else f"is damaged ({_line(error)})", self.remedy)
 
 
 def _line(error: Exception) -> str:

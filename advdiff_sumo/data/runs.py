@@ -1,4 +1,4 @@
-"""Our own run folders as driving logs: the episodes of ``advdiff-sumo run`` by their ``states.parquet``."""
+"""Reads folders of ``advdiff-sumo run`` as driving logs, from their ``states.parquet``."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _REMEDY = "give the folder of a finished run"
 
 
 class RunReader:
-    """Reads the episodes of a run folder; the target takes the place of the recording vehicle.
+    """Reads the episodes of a run folder as scenes; the ego is the target.
 
-    Nobody counts as parked: SUMO's vehicles that stand through an episode wait.
+    No agent counts as parked, as a SUMO vehicle that stands throughout an episode is waiting.
     """
 
     def __init__(self, folder: str | Path) -> None:
-        """Point at a folder with ``run.toml`` and ``states.parquet``."""
+        """Create the reader of a folder with ``run.toml`` and ``states.parquet``."""
         self.folder = Path(folder)
         self._tables = RunTables(self.folder, LogError, _REMEDY)
 
     @cached_property
     def net(self) -> str:
-        """The run's net as ``run.toml`` has it: a path, or the name of a shipped one.
+        """The run's net as ``run.toml`` states it: a path, or the name of a shipped net.
 
         Raises:
             LogError: the file is missing or damaged.
@@ -43,11 +43,11 @@ class RunReader:
             raise LogError(path, f"does not say which net the run had ({error})", _REMEDY) from None
 
     def names(self) -> list[str]:
-        """Return the names of the episodes in their order."""
+        """Return the names of the episodes, in order."""
         return [f"{self.folder.resolve().name}-{number:04d}" for number in self._numbers]
 
     def read(self, name: str) -> LogScene:
-        """Return one episode at the simulation's step.
+        """Return one episode, at the simulation's time step.
 
         Raises:
             UnknownNameError: there is no such episode.
@@ -78,7 +78,7 @@ class RunReader:
 
 
 def _states(table: pa.Table) -> EpisodeStates:
-    """Return the states in the rows of one episode."""
+    """Return the states in *table*, the rows of one episode, which must have exactly one target."""
     targets = pc.unique(table.filter(table["is_target"])["agent"])
     states = states_of(table)
     if states is None or len(targets) != 1:

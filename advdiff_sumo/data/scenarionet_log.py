@@ -1,4 +1,4 @@
-"""ScenarioNet records of nuScenes and Waymo drives (Li et al. 2023, arXiv:2306.12241): pickles, 10 Hz."""
+"""Reads ScenarioNet records of nuScenes, Waymo and other drives (Li et al. 2023, arXiv:2306.12241): pickles, 10 Hz."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.log_reader import LogScene
-from advdiff_sumo.data.motion import annotated, parked_agents, signed_speeds, without_jitter
+from advdiff_sumo.data.motion import annotated_tracks, parked_agents, signed_speeds, without_jitter
 from advdiff_sumo.data.nuscenes import ZOE_CENTRE_AHEAD_M, ZOE_LENGTH_M, ZOE_WIDTH_M
 from advdiff_sumo.data.nuscenes_index import agent_class
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.data.scene_files import SceneFiles
 
-LORRY_LENGTH_M = 7.0
+LORRY_LENGTH_M = 7.0  # vehicles longer than this are trucks
 SIMULATED = "advdiff-sumo"
-"""The dataset of episodes that are exported here: places are exact, and who creeps does creep."""
-_AT_ORIGIN_M = 0.01
+"""Dataset name of episodes that this package exported; their positions have no annotation noise to remove."""
+_AT_ORIGIN_M = 0.01  # a position nearer than this is at the origin
 _KINDS = {"PEDESTRIAN": AgentClass.PEDESTRIAN, "CYCLIST": AgentClass.BICYCLE}
 _AGAIN = "convert the record again"
 
 
 def read_record(path: str | Path) -> dict[str, Any]:
-    """Return a record as ScenarioNet wrote it: metadata, tracks, map_features, dynamic_map_states.
+    """Return a record as ScenarioNet writes it: metadata, tracks, map_features, dynamic_map_states.
 
     Positions are in the record's own frame (see :func:`map_offset_m`).
 
     Raises:
-        LogError: the file is missing, damaged, holds anything but plain data, or is no record.
+        LogError: the file is missing or damaged, contains anything other than plain data, or is no record.
     """
     path = Path(path)
     record = load_plain(path)
@@ -46,15 +46,16 @@ def read_record(path: str | Path) -> dict[str, Any]:
 
 
 def map_offset_m(record: Mapping[str, Any]) -> FloatArray | None:
-    """Return what to add to positions (2,) of *record* to be in its map's frame; None where it is lost.
+    """Return the offset (2,) from positions of *record* to its map's frame; None if it is unknown.
 
-    MetaDrive writes down where the map's origin is in a record that it moved (``old_origin_in_current_coordinate``).
-    ScenarioNet moves nuScenes records, tracks and map alike, so that the first ego pose is the origin, and does not
-    write it down; but it moves the zeros of absent states too, which give it away. A record of nuScenes that does not
-    begin at the origin was not moved; others are in their dataset's frame.
+    - Records that MetaDrive moved state the map's origin in them (``old_origin_in_current_coordinate``).
+    - ScenarioNet moves the tracks and maps of nuScenes records, so that the first ego pose is the origin, and does not
+      store the offset. As it also moves the zeros of absent states, these show it.
+    - A nuScenes record without absent states that does not begin at the origin was not moved.
+    - Records of other datasets are in their map's frame.
 
     Raises:
-        ValueError: what the record tells of its frame is no place.
+        ValueError: the stored origin is not a position.
     """
     old_origin = record["metadata"].get("old_origin_in_current_coordinate")
     if old_origin is not None:
@@ -64,17 +65,18 @@ def map_offset_m(record: Mapping[str, Any]) -> FloatArray | None:
         return -origin
     if record["metadata"].get("dataset") != "nuscenes":
         return np.zeros(2)
-    absent = [_xy(track)[~_valid(track)] for _, track in sorted(record["tracks"].items())]
-    moved = np.concatenate([np.zeros((0, 2)), *absent])
-    if len(moved) and np.ptp(moved, axis=0).max() <= 1e-6:
-        return np.asarray(-moved[0], dtype=np.float64)
-    return None if len(moved) or _begins_at_origin(record) else np.zeros(2)
+    absent_xy = [_xy(track)[~_valid(track)] for _, track in sorted(record["tracks"].items())]
+    moved_zeros = np.concatenate([np.zeros((0, 2)), *absent_xy])
+    if len(moved_zeros) and np.ptp(moved_zeros, axis=0).max() <= 1e-6:
+        return np.asarray(-moved_zeros[0], dtype=np.float64)
+    return None if len(moved_zeros) or _begins_at_origin(record) else np.zeros(2)
 
 
 def _begins_at_origin(record: Mapping[str, Any]) -> bool:
+    """Return whether the ego's first position is the origin; True without one."""
     ego = record["tracks"].get(record["metadata"].get("sdc_id"))
-    there = np.zeros((0, 2)) if ego is None else _xy(ego)[_valid(ego)]
-    return len(there) == 0 or bool(np.abs(there[0]).max() < _AT_ORIGIN_M)
+    ego_xy = np.zeros((0, 2)) if ego is None else _xy(ego)[_valid(ego)]
+    return len(ego_xy) == 0 or bool(np.abs(ego_xy[0]).max() < _AT_ORIGIN_M)
 
 
 def _xy(track: Mapping[str, Any]) -> FloatArray:
@@ -82,19 +84,19 @@ def _xy(track: Mapping[str, Any]) -> FloatArray:
 
 
 class ScenarioNetReader(SceneFiles):
-    """Reads the records (``sd_*.pkl``) of a folder, or one record.
+    """Reads one record (``sd_*.pkl``) or those of a folder.
 
-    A scene is named by its file: ScenarioNet's ids repeat between datasets.
+    A scene has the name of its file, as ScenarioNet's ids repeat between datasets.
     """
 
     kind, remedy = "record", _AGAIN
 
     def read_file(self, name: str, path: Path) -> LogScene:
-        """Return the scene of a record; agents in its order, obstacles left out."""
+        """Return the scene of a record, with its agents in its order, without obstacles."""
         return _scene(name, path, read_record(path))
 
     def paths(self) -> dict[Path, str]:
-        """Return file → name of every record, searched recursively."""
+        """Return file → name of every record; folders are searched recursively."""
         paths = [self.path] if self.path.is_file() else sorted(self.path.rglob("sd_*.pkl"))
         if not paths:
             raise LogError(self.path, "no such record or folder of sd_*.pkl records", "give one of these")
@@ -103,7 +105,7 @@ class ScenarioNetReader(SceneFiles):
 
 def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:
     meta = record["metadata"]
-    nuscenes = meta.get("dataset") == "nuscenes"
+    is_nuscenes = meta.get("dataset") == "nuscenes"
     kinds = {key: _class_of(track) for key, track in record["tracks"].items()}
     ids = [key for key, kind in kinds.items() if kind is not None]
     if meta["sdc_id"] not in ids:
@@ -111,13 +113,13 @@ def _scene(name: str, path: Path, record: Mapping[str, Any]) -> LogScene:
     ego = ids.index(meta["sdc_id"])
     offset = map_offset_m(record)
     tracks = _tracks(record, ids, np.zeros(2) if offset is None else offset)
-    if nuscenes:
+    if is_nuscenes:
         tracks = _with_zoe(tracks, ego)
     parked = parked_agents(tracks.xy_m, tracks.valid, tracks.dt_s)
     parked[ego] = False
     if meta.get("dataset") != SIMULATED:
         tracks = without_jitter(tracks, parked, ego)
-    location = str(meta.get("map", "")) if nuscenes and offset is not None else ""
+    location = str(meta.get("map", "")) if is_nuscenes and offset is not None else ""
     return LogScene(name, location, tracks, ego, parked, path)
 
 
@@ -131,14 +133,13 @@ def _tracks(record: Mapping[str, Any], ids: list[str], offset_m: FloatArray) -> 
     if not (np.isfinite(xy).all(-1) & np.isfinite(yaw))[valid].all():
         raise ValueError("a valid state is not finite")
     sizes = np.array([_size(row) for row in rows])
-    return annotated(ids, [_class_of(row) for row in rows], sizes, xy, yaw, dt_s)
+    return annotated_tracks(ids, [_class_of(row) for row in rows], sizes, xy, yaw, dt_s)
 
 
 def _with_zoe(tracks: Tracks, ego: int) -> Tracks:
     """Move the ego of a nuScenes record from its rear axle to its box centre, and set its true size.
 
-    ScenarioNet takes the ego pose as it is, and writes length and width the wrong way round
-    (metadriverse/scenarionet issue 68).
+    ScenarioNet takes the rear axle for the box centre, and swaps length and width (metadriverse/scenarionet issue 68).
     """
     tracks.xy_m[ego] += ZOE_CENTRE_AHEAD_M * unit(tracks.yaw_rad[ego])
     tracks.size_m[ego] = ZOE_LENGTH_M, ZOE_WIDTH_M
@@ -153,18 +154,18 @@ def _valid(track: Mapping[str, Any]) -> BoolArray:
 
 
 def _size(track: Mapping[str, Any]) -> tuple[float, float]:
-    """Return median length and width over the valid states."""
-    there = _valid(track)
-    if not there.any():
+    """Return the median length and width over the valid states."""
+    valid = _valid(track)
+    if not valid.any():
         raise ValueError(f"track '{track['metadata'].get('object_id')}' is never valid")
     length, width = (
-        float(np.median(np.asarray(track["state"][key]).reshape(-1)[there])) for key in ("length", "width")
+        float(np.median(np.asarray(track["state"][key]).reshape(-1)[valid])) for key in ("length", "width")
     )
     return length, width
 
 
 def _class_of(track: Mapping[str, Any]) -> AgentClass | None:
-    """Return the class: of the nuScenes category where it is kept, else of ScenarioNet's type and length."""
+    """Return the class by the nuScenes category, else by ScenarioNet's type and the length; None: leave it out."""
     kind = str(track["type"])
     if not _valid(track).any():
         return None
@@ -177,6 +178,7 @@ def _class_of(track: Mapping[str, Any]) -> AgentClass | None:
 
 
 def _spacing_s(record: Mapping[str, Any]) -> float:
+    """Return the time step, which must be constant within 10 %."""
     times = np.asarray(record["metadata"]["ts"], dtype=np.float64).reshape(-1)
     if len(times) < 2:
         raise ValueError("it has fewer than two instants")

@@ -1,4 +1,4 @@
-"""What readers of logs with one scene a file share."""
+"""Base class of log readers for formats with one scene per file."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from advdiff_sumo.data.log_reader import LogScene
 
 
 class SceneFiles(ABC):
-    """Reads one file, or those of a folder; every file holds one scene.
+    """Reads one file or those of a folder; every file holds one scene.
 
     Attributes:
         path: the file or the folder.
-        kind: what a file holds, for messages.
-        remedy: what to do about a damaged one.
+        kind: word for the content of a file, for messages.
+        remedy: remedy for a damaged file, for messages.
     """
 
     kind: ClassVar[str]
     remedy: ClassVar[str]
 
     def __init__(self, path: str | Path) -> None:
-        """Point at a file, or at a folder of them."""
+        """Create the reader of a file, or of a folder of such files."""
         self.path = Path(path)
 
     @abstractmethod
@@ -38,7 +38,7 @@ class SceneFiles(ABC):
         """
 
     def files(self) -> dict[str, Path]:
-        """Return name → file of every scene; those of one name are told apart by their folders.
+        """Return name → file of every scene; folder names are added to names that repeat.
 
         Raises:
             LogError: there is none.
@@ -47,7 +47,7 @@ class SceneFiles(ABC):
 
     @abstractmethod
     def read_file(self, name: str, path: Path) -> LogScene:
-        """Return the scene *name* in *path*; whatever is wrong with its content may raise as it comes."""
+        """Return the scene *name* in *path*; KeyError, TypeError, ValueError and IndexError mean damaged content."""
 
     def names(self) -> list[str]:
         """Return the names of the scenes, sorted.
@@ -76,7 +76,7 @@ class SceneFiles(ABC):
     def _read(self, name: str, path: Path) -> LogScene:
         try:
             return self.read_file(name, path)
-        except MapError as error:  # of what maps and logs share
+        except MapError as error:  # from functions that maps and logs share
             raise LogError(path, error.problem, error.remedy) from None
         except (KeyError, TypeError, ValueError, IndexError) as error:
             problem = f"cannot be used ({type(error).__name__}: {error})"

@@ -1,7 +1,7 @@
-"""The published splits of nuScenes by scene name, and the windows of its prediction challenge.
+"""Lists the published splits of nuScenes by scene name, and reads the windows of its prediction challenge.
 
-Caesar et al. 2020 (arXiv:1903.11027); the lists are part of the data set's definition. The test scenes come
-without annotations and have no name here.
+Caesar et al. 2020 (arXiv:1903.11027). The lists are part of the data set's definition. The test split is left out, as
+its scenes have no annotations.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from pathlib import Path
 from advdiff_sumo.core.errors import LogError, UnknownNameError
 
 SPLITS = ("train", "val", "train_val", "mini_train", "mini_val")
-"""``train_val`` is the part of ``train`` that the prediction challenge holds out; its ``train`` is the rest."""
+"""``train_val`` is the part of ``train`` that the prediction challenge holds out; the challenge trains on the rest."""
 PREDICTION_FILE = Path("maps", "prediction", "prediction_scenes.json")
+# numbers of the scenes of each split; _VAL in ranges (first, last)
 _VAL = (
     *((3, 3), (12, 18), (35, 36), (38, 39), (92, 110), (221, 221), (268, 278), (329, 332), (344, 346)),
     *((519, 524), (552, 565), (625, 627), (629, 630), (632, 638), (770, 771), (775, 775), (777, 778)),
@@ -34,7 +35,7 @@ def in_split(scene: str, split: str, prediction: bool = False) -> bool:
     Args:
         scene: name of a scene of v1.0-trainval or v1.0-mini.
         split: one of :data:`SPLITS`.
-        prediction: whether ``train`` leaves out ``train_val``, as the prediction challenge has it.
+        prediction: whether ``train`` excludes ``train_val``, as in the prediction challenge.
 
     Raises:
         UnknownNameError: there is no such split.
@@ -47,20 +48,20 @@ def in_split(scene: str, split: str, prediction: bool = False) -> bool:
     number = int(matched.group(1))
     if split.startswith("mini"):
         return number in (_MINI_TRAIN if split == "mini_train" else _MINI_VAL)
-    validates = any(first <= number <= last for first, last in _VAL)
+    is_val = any(first <= number <= last for first, last in _VAL)
     if split == "val":
-        return validates
-    held_out = number <= _LAST_HELD_OUT
-    return not validates and (held_out if split == "train_val" else not (prediction and held_out))
+        return is_val
+    is_held_out = number <= _LAST_HELD_OUT
+    return not is_val and (is_held_out if split == "train_val" else not (prediction and is_held_out))
 
 
 def prediction_windows(root: Path) -> Mapping[str, tuple[tuple[str, str], ...]]:
-    """Return the challenge's windows: scene name → (instance token, sample token) of each.
+    """Return the windows of the prediction challenge: scene name → (instance token, sample token) of each.
 
-    The past ends and the future begins at the sample.
+    The past of a window ends and its future begins at the sample.
 
     Args:
-        root: of the data set; the file is part of its map expansion.
+        root: root of the data set with the map expansion, which contains the file.
 
     Raises:
         LogError: the file is missing or damaged.

@@ -1,4 +1,4 @@
-"""What is in window files: counts, classes, motion, gaps."""
+"""Computes statistics of window files: counts, classes, motion, gaps."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.data.window_files import DT_S, PAST, WindowFile
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
-_MOVING_M = 1.0
-_TURNING_M = 0.5
+_MOVING_M = 1.0  # smallest distance from its present position that a moving agent reaches
+_TURNING_M = 0.5  # shortest interval over which curvature is measured
 
 
 @dataclass(frozen=True)
 class WindowMotion:
-    """Motion of S agent rows over the L = H + T instants of their windows.
+    """The motion of S agent rows over the L = H + T instants of their windows.
 
     Attributes:
         states: (S, L, 4) x, y, yaw, speed.
-        valid: (S, L).
+        valid: (S, L) whether the agent has a state at each instant.
         step: (S, L − 1) whether both ends of an interval are valid.
     """
 
@@ -35,40 +35,42 @@ class WindowMotion:
 
     @staticmethod
     def of(windows: WindowFile) -> WindowMotion:
-        """Return past and future joined."""
+        """Return the motion in *windows*, past and future joined."""
         states = np.concatenate((windows.past, windows.future), axis=1).astype(np.float64)
         valid = np.concatenate((windows.past_valid, windows.future_valid), axis=1)
         return WindowMotion(states, valid, valid[:, 1:] & valid[:, :-1])
 
     @property
     def moving(self) -> BoolArray:
-        """(S,) whether the agent gets a metre or more away from where it is now."""
-        away = np.linalg.norm(self.states[..., :2] - self.states[:, PAST - 1, None, :2], axis=-1)
-        return np.asarray((np.where(self.valid, away, 0.0) >= _MOVING_M).any(axis=1))
+        """(S,) whether the agent is at any instant a metre or more from its present position."""
+        distance_m = np.linalg.norm(self.states[..., :2] - self.states[:, PAST - 1, None, :2], axis=-1)
+        return np.asarray((np.where(self.valid, distance_m, 0.0) >= _MOVING_M).any(axis=1))
 
     @property
     def acceleration_mps2(self) -> FloatArray:
         """(K,) change of speed over each interval of moving agents."""
-        kept = self.step & self.moving[:, None]
-        return np.asarray((np.diff(self.states[..., 3], axis=1) / DT_S)[kept])
+        is_kept = self.step & self.moving[:, None]
+        return np.asarray((np.diff(self.states[..., 3], axis=1) / DT_S)[is_kept])
 
     @property
     def curvature_1pm(self) -> FloatArray:
-        """(K,) absolute change of heading per metre, over intervals of half a metre or more."""
-        way = np.linalg.norm(np.diff(self.states[..., :2], axis=1), axis=-1)
-        kept = self.step & (way >= _TURNING_M)
-        return np.asarray(np.abs(wrap_angle(np.diff(self.states[..., 2], axis=1))[kept] / way[kept]))
+        """(K,) absolute change of heading per metre over each interval of half a metre or more."""
+        length_m = np.linalg.norm(np.diff(self.states[..., :2], axis=1), axis=-1)
+        is_kept = self.step & (length_m >= _TURNING_M)
+        return np.asarray(
+            np.abs(wrap_angle(np.diff(self.states[..., 2], axis=1))[is_kept] / length_m[is_kept])
+        )
 
     @property
     def gaps(self) -> int:
         """Number of instants without a state between instants with one."""
-        later = np.flip(np.maximum.accumulate(np.flip(self.valid, axis=1), axis=1), axis=1)
-        earlier = np.maximum.accumulate(self.valid, axis=1)
-        return int((~self.valid & later & earlier).sum())
+        has_later = np.flip(np.maximum.accumulate(np.flip(self.valid, axis=1), axis=1), axis=1)
+        has_earlier = np.maximum.accumulate(self.valid, axis=1)
+        return int((~self.valid & has_later & has_earlier).sum())
 
 
 def window_stats(files: Iterable[WindowFile]) -> dict[str, Any]:
-    """Return what is in *files* as nested plain values; quantities carry their unit in their name.
+    """Return the statistics of *files* as nested plain values; units are part of the names.
 
     Raises:
         ValueError: there is no file.
@@ -118,12 +120,12 @@ def _classes(files: list[WindowFile]) -> Mapping[str, float]:
 
 
 def _sees_signal(windows: WindowFile) -> BoolArray:
-    """Return which windows (W,) have a lit signal on a piece near one of their agents."""
-    row = np.append(windows.map_signal, -1)[windows.near]  # near = −1 takes the appended −1
+    """Return (W,) whether each window has a lit signal on a piece near one of its agents."""
+    signal = np.append(windows.map_signal, -1)[windows.near]  # near = −1 selects the appended −1
     window = np.repeat(np.arange(windows.windows), np.diff(windows.offset))
-    lit = np.column_stack((windows.signals, np.zeros(windows.windows, dtype=np.uint8)))
-    lit_nearby = (lit[window[:, None], row] > 0).any(axis=1)
-    return np.asarray(np.bincount(window, weights=lit_nearby, minlength=windows.windows) > 0)
+    states = np.column_stack((windows.signals, np.zeros(windows.windows, dtype=np.uint8)))
+    has_lit_signal = (states[window[:, None], signal] > 0).any(axis=1)
+    return np.asarray(np.bincount(window, weights=has_lit_signal, minlength=windows.windows) > 0)
 
 
 def _mean(values: BoolArray) -> float:

@@ -1,4 +1,4 @@
-"""JSON tables read record by record, so that a table of gigabytes needs memory for one chunk only."""
+"""Reads JSON tables record by record, so that a table of gigabytes needs memory for one chunk only."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, TextIO, TypeVar
 
 from advdiff_sumo.core.errors import LogError, os_reason
 
-_CHUNK = 1 << 22  # characters
-_LONGEST = 1 << 22  # no record is as long: what does not parse by then never will
+_CHUNK = 1 << 22  # characters read at a time
+_LONGEST = 1 << 22  # characters of the longest possible record; longer unparsable text is malformed
 _WORD = 32  # characters of the longest number or literal
 _AGAIN = "copy or download the file again"
-_GAP = " \t\r\n,"
+_SEPARATORS = " \t\r\n,"
 
 T = TypeVar("T")
 
@@ -22,8 +22,8 @@ def parsed(path: Path, parse: Callable[[dict[str, Any]], T]) -> Iterator[T]:
     """Yield ``parse(record)`` for each record of the table at *path*.
 
     Raises:
-        LogError: the file is missing, truncated or malformed, or *parse* raised KeyError, TypeError,
-            ValueError or IndexError on a record; names the record.
+        LogError: the file is missing, truncated or malformed, or *parse* raised KeyError, TypeError, ValueError or
+            IndexError for a record. The message names the record.
     """
     for number, record in enumerate(records(path)):
         try:
@@ -56,20 +56,20 @@ def _objects(path: Path, file: TextIO) -> Iterator[dict[str, Any]]:
     buffer = file.read(_CHUNK).lstrip()
     if not buffer.startswith("["):
         raise LogError(path, "is not a JSON array of records", "give a nuScenes table")
-    at, number = 1, 0
+    position, number = 1, 0
     while True:
-        at = _skip(buffer, at)
-        if buffer[at : at + 1] == "]":
+        position = _skip_separators(buffer, position)
+        if buffer[position : position + 1] == "]":
             return
         try:
-            record, at = decode(buffer, at)
-        except json.JSONDecodeError as error:
+            record, position = decode(buffer, position)
+        except json.JSONDecodeError as error:  # read on: the record may continue after the buffer
             more = file.read(_CHUNK)
-            if not more and _cut_off(error):
+            if not more and _is_cut_off(error):
                 raise LogError(path, f"ends within record {number}: the file is truncated", _AGAIN) from None
-            if not more or len(buffer) - at > _LONGEST:
+            if not more or len(buffer) - position > _LONGEST:
                 raise LogError(path, f"record {number} is not JSON ({error.msg})", _AGAIN) from None
-            buffer, at = buffer[at:] + more, 0
+            buffer, position = buffer[position:] + more, 0
             continue
         if not isinstance(record, dict):
             raise LogError(path, f"record {number} is no object", _AGAIN)
@@ -77,16 +77,16 @@ def _objects(path: Path, file: TextIO) -> Iterator[dict[str, Any]]:
         number += 1
 
 
-def _cut_off(error: json.JSONDecodeError) -> bool:
-    """Return whether the text ended too early: within a string, or within a last word or number."""
+def _is_cut_off(error: json.JSONDecodeError) -> bool:
+    """Return whether the text ends too early: within a string, or within a literal or number."""
     rest = error.doc[error.pos :].strip()
     return error.msg.startswith("Unterminated") or (len(rest) < _WORD and not rest.endswith(("]", "}")))
 
 
-def _skip(buffer: str, at: int) -> int:
-    while at < len(buffer) and buffer[at] in _GAP:
-        at += 1
-    return at
+def _skip_separators(buffer: str, position: int) -> int:
+    while position < len(buffer) and buffer[position] in _SEPARATORS:
+        position += 1
+    return position
 
 
 def _name(number: int, record: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""From tracks and a table of map pieces to the arrays of a window file; NumPy alone."""
+"""Converts tracks and a table of map pieces into the arrays of a window file; needs only NumPy."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WindowArrays:
-    """One window; A agents, the focal one first. Arrays as in :class:`WindowFile`, in the map's frame.
+    """One window with A agents, the focal one first. Arrays as in :class:`WindowFile`, in the map's frame.
 
     Attributes:
-        past: (A, H, 4) x, y, yaw, speed.
-        past_valid: (A, H).
-        future: (A, T, 4).
-        future_valid: (A, T).
+        past: (A, H, 4) x, y, yaw, speed; the last instant is the present one.
+        past_valid: (A, H) whether the agent has a state at each instant.
+        future: (A, T, 4) x, y, yaw, speed.
+        future_valid: (A, T) whether the agent has a state at each instant.
         size: (A, 2) length and width.
-        classes: (A,).
-        parked: (A,).
-        near: (A, K) map pieces, −1 padded.
-        signals: (G,) states now.
+        classes: (A,) classes.
+        parked: (A,) whether the agent is parked.
+        near: (A, K) rows of map pieces, padded with −1.
+        signals: (G,) present states of the signals.
         scene: name of the drive or run.
     """
 
@@ -47,37 +47,37 @@ class WindowArrays:
 
 
 def crop(xy_m: FloatArray, focal: int) -> NDArray[np.int64]:
-    """Return the rows of the agents nearest to *focal*, itself first, ties in order of rows.
+    """Return the rows of up to ``MAX_AGENTS`` agents within ``CROP_M`` of the focal agent, the nearest first.
 
-    They are ``MAX_AGENTS`` at most, whose centres are within ``CROP_M``.
+    The focal agent comes first. Agents at the same distance are in the order of rows.
 
     Args:
-        xy_m: (A, 2) present positions, NaN where absent.
-        focal: a row that is present.
+        xy_m: (A, 2) present positions; NaN for absent agents.
+        focal: row of the focal agent, which must be present.
     """
-    away = np.linalg.norm(xy_m - xy_m[focal], axis=-1)
-    away[focal] = -1.0
-    order = np.argsort(np.where(np.isnan(away), np.inf, away), kind="stable")[:MAX_AGENTS]
-    return np.asarray(order[away[order] <= CROP_M], dtype=np.int64)
+    distance_m = np.linalg.norm(xy_m - xy_m[focal], axis=-1)
+    distance_m[focal] = -1.0
+    order = np.argsort(np.where(np.isnan(distance_m), np.inf, distance_m), kind="stable")[:MAX_AGENTS]
+    return np.asarray(order[distance_m[order] <= CROP_M], dtype=np.int64)
 
 
 def crops(xy_m: FloatArray, order: IntArray, most: int, apart: int = 10) -> Iterator[NDArray[np.int64]]:
-    """Yield crops around several agents of one instant that overlap little.
+    """Yield crops around several agents at one instant, with little overlap.
 
     Args:
-        xy_m: (A, 2) present positions, NaN where absent.
-        order: candidates for the focal agent, first come first served.
-        most: how many crops at most.
-        apart: the nearest agents of a crop, so many with the focal one, get no crop of their own.
+        xy_m: (A, 2) present positions; NaN for absent agents.
+        order: candidates for the focal agent, in order of preference.
+        most: maximum number of crops.
+        apart: number of agents of a crop, the nearest with the focal one, that cannot be focal agents of later crops.
     """
-    taken: set[int] = set()
+    excluded: set[int] = set()
     count = 0
     for focal in order.tolist():
         if count == most:
             return
-        if focal not in taken:
+        if focal not in excluded:
             rows = crop(xy_m, focal)
-            taken.update(rows[:apart].tolist())
+            excluded.update(rows[:apart].tolist())
             count += 1
             yield rows
 
@@ -91,21 +91,21 @@ def window_arrays(
     signals: Mapping[str, str],
     scene: str,
 ) -> WindowArrays:
-    """Return the window of *rows* at instant *now* of *tracks*, which are spaced 0.5 s.
+    """Return the window of the agents *rows* at instant *now* of *tracks*, which have a spacing of 0.5 s.
 
-    Instants before or beyond the tracks are not valid.
+    Instants before the beginning or after the end of the tracks are not valid.
 
     Args:
         tracks: (A, L) states in the map's frame.
-        now: instant, with all of *rows* present.
+        now: the present instant, at which all of *rows* must be present.
         rows: (A',) agents, the focal one first.
-        parked: (A,) which agents are parked.
-        table: of the map.
-        signals: states of the traffic lights now.
+        parked: (A,) whether each agent is parked.
+        table: pieces of the map.
+        signals: traffic light id → its present state string.
         scene: name of the drive or run.
 
     Raises:
-        ValueError: one of *rows* is not there now.
+        ValueError: one of *rows* is absent at the present instant.
     """
     if not tracks.valid[rows, now].all():
         raise ValueError(f"an agent of the window at instant {now} of {scene} is not there")
@@ -115,7 +115,7 @@ def window_arrays(
     valid = tracks.valid[rows]
     past, past_valid = _cut(states, valid, now - PAST + 1, PAST)
     future, future_valid = _cut(states, valid, now + 1, FUTURE)
-    here = past[:, -1]
+    present = past[:, -1]
     return WindowArrays(
         past=past,
         past_valid=past_valid,
@@ -124,19 +124,19 @@ def window_arrays(
         size=tracks.size_m[rows],
         classes=tracks.classes[rows],
         parked=parked[rows],
-        near=table.rows_near(here[:, :2], here[:, 2], here[:, 3]),
+        near=table.rows_near(present[:, :2], present[:, 2], present[:, 3]),
         signals=table.signal_states(signals),
         scene=scene,
     )
 
 
 def _cut(states: FloatArray, valid: BoolArray, start: int, length: int) -> tuple[FloatArray, BoolArray]:
-    """Return *length* instants from *start* on, those outside the tracks or not valid zeroed."""
-    at = start + np.arange(length)
-    inside = (at >= 0) & (at < valid.shape[1])
-    at = np.clip(at, 0, valid.shape[1] - 1)
-    kept = valid[:, at] & inside
-    return np.where(kept[..., None], states[:, at], 0.0), kept
+    """Return the states and masks of *length* instants from *start* on; invalid states are zero."""
+    instant = start + np.arange(length)
+    is_inside = (instant >= 0) & (instant < valid.shape[1])
+    instant = np.clip(instant, 0, valid.shape[1] - 1)
+    is_valid = valid[:, instant] & is_inside
+    return np.where(is_valid[..., None], states[:, instant], 0.0), is_valid
 
 
 @dataclass
@@ -144,11 +144,11 @@ class WindowFileBuilder:
     """Collects windows of one map into a :class:`WindowFile`.
 
     Attributes:
-        table: of the map.
+        table: pieces of the map.
         map_name: name of the net.
-        source: where the windows come from.
-        extra: further text of the header.
-        windows: those collected.
+        source: origin of the windows.
+        extra: further entries of the file's header.
+        windows: the windows collected so far.
     """
 
     table: PieceTable
@@ -158,12 +158,12 @@ class WindowFileBuilder:
     windows: list[WindowArrays] = field(default_factory=list)
 
     def build(self) -> WindowFile:
-        """Return all windows in the order in which they came; the origin is the middle of the map."""
+        """Return all windows in the order in which they were added; the origin is the middle of the map."""
         table, windows = self.table, self.windows
         points = table.xy_m.reshape(-1, 2)
         origin = np.round(0.5 * (points.min(axis=0) + points.max(axis=0))) if len(points) else np.zeros(2)
         names = tuple(dict.fromkeys(window.scene for window in windows))
-        number = {name: row for row, name in enumerate(names)}
+        scene_row = {name: row for row, name in enumerate(names)}
         return WindowFile(
             map_origin=origin,
             map_xy=(table.xy_m - origin).astype(np.float32),
@@ -181,7 +181,7 @@ class WindowFileBuilder:
             signals=np.array([w.signals for w in windows], dtype=np.uint8).reshape(
                 len(windows), len(table.signal_links)
             ),
-            scene=np.array([number[w.scene] for w in windows], dtype=np.int32),
+            scene=np.array([scene_row[w.scene] for w in windows], dtype=np.int32),
             scene_names=names,
             map_name=self.map_name,
             source=self.source,

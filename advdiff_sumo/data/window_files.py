@@ -1,4 +1,4 @@
-"""Window files: training windows of one map as safetensors, read with NumPy alone (docs/data.md)."""
+"""Reads and writes window files: training windows of one map as safetensors, with NumPy only (docs/data.md)."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from advdiff_sumo.core.whole_file import whole_file
 FORMAT = "advdiff-windows-1"
 SUFFIX = ".safetensors"
 DRIVEN = "driven_by"
-"""Key of the header's further text: sha256 of the weights that drove in the windows up to now."""
+"""Key in ``extra``: sha256 of the weights that drove the vehicles before the present instant of the windows."""
 DT_S = 0.5
 PAST, FUTURE = 5, 12
-"""H and T: instants of past (now is the last) and of future."""
+"""H and T: number of past instants, the present one included, and of future instants."""
 MAX_AGENTS, CROP_M = 24, 60.0
-"""Most agents of a window, and how far from the first one they may be."""
+"""Maximum number of agents in a window, and their largest distance from the focal one."""
 _AGAIN = "build or copy it again"
 _OWN_KEYS = frozenset({"format", "source", "map", "dt_s", "scene_names"})
 
 
 @dataclass(frozen=True)
 class WindowFile:
-    """W windows of one map; S agent rows, H = 5 instants of past, T = 12 of future, M pieces, G signals.
+    """W windows of one map: S agent rows, H = 5 past instants, T = 12 future instants, M pieces, G signals.
 
-    Arrays have the file's types; entries whose mask is False are zero. Positions are metres relative to
-    ``map_origin``, yaw counter-clockwise from east, speed along the heading.
+    Arrays have the file's types. Entries whose mask is False are zero. Positions are in metres relative to
+    ``map_origin``, yaw is counter-clockwise from east, speed is along the heading.
 
     Attributes:
-        map_origin: (2,) float64, to be added to positions for the map's frame.
+        map_origin: (2,) float64; positions plus this are in the map's frame.
         map_xy: (M, N, 2) float32 points of the map's pieces.
         map_features: (M, F) float32, see :class:`advdiff_sumo.maps.vector_map.Feature`.
-        map_signal: (M,) int32 index into the signals, −1 for none.
-        offset: (W + 1,) int64; the agents of window w are rows offset[w] to offset[w + 1], the focal one first.
+        map_signal: (M,) int32 index into the signals; −1 without a signal.
+        offset: (W + 1,) int64; window w has the agent rows offset[w] to offset[w + 1], the focal agent first.
         past: (S, H, 4) float32 x, y, yaw, speed at −2 … 0 s.
-        past_valid: (S, H) bool; the last instant is True.
-        future: (S, T, 4) float32 at 0.5 … 6 s.
+        past_valid: (S, H) bool; True at the last instant.
+        future: (S, T, 4) float32 x, y, yaw, speed at 0.5 … 6 s.
         future_valid: (S, T) bool.
         size: (S, 2) float32 length and width.
         classes: (S,) uint8 values of :class:`advdiff_sumo.core.scene.AgentClass`.
         parked: (S,) bool.
-        near: (S, K) int32 pieces near the agent now, −1 padded; lanes, then road edges.
-        signals: (W, G) uint8: 0 unknown, 1 red, 2 yellow, 3 green, now.
+        near: (S, K) int32 pieces near the agent at present, padded with −1; lanes, then road edges.
+        signals: (W, G) uint8 present states: 0 unknown, 1 red, 2 yellow, 3 green.
         scene: (W,) int32 index into ``scene_names``.
-        scene_names: the drives or simulation runs.
+        scene_names: names of the drives or simulation runs.
         map_name: name of the net.
-        source: where the windows come from.
-        extra: further text of the header.
+        source: origin of the windows.
+        extra: further entries of the file's header.
     """
 
     map_origin: NDArray[np.float64]
@@ -115,7 +115,7 @@ TENSORS: Mapping[str, tuple[str, tuple[str | int, ...]]] = {
     "signals": ("uint8", ("W", "G")),
     "scene": ("int32", ("W",)),
 }
-"""Type and shape of each tensor; a letter stands for one number throughout the file."""
+"""Type and shape of each tensor; each letter stands for the same number in all shapes."""
 
 
 def write_windows(path: str | Path, windows: WindowFile) -> None:
@@ -145,7 +145,7 @@ def read_windows(path: str | Path) -> WindowFile:
     """Return the windows in the file at *path*.
 
     Raises:
-        FileError: the file is missing, truncated, of another format, or its tensors do not fit each other.
+        FileError: the file is missing, truncated or of another format, or its tensors contradict each other.
     """
     path = Path(path)
     header, tensors = _open(path)
@@ -164,19 +164,19 @@ def read_windows(path: str | Path) -> WindowFile:
 
 
 def window_paths(places: list[Path]) -> list[Path]:
-    """Return the window files among *places*: files as given, those of folders sorted by name.
+    """Return the window files of *places*: files as given, those of a folder sorted by name.
 
     Raises:
-        FileError: a place does not exist, or a folder holds none.
+        FileError: a file or folder does not exist, or a folder contains no window file.
     """
     paths: list[Path] = []
     for place in places:
         if place.is_dir():
-            inside = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
-            if not inside:
+            found = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
+            if not found:
                 remedy = "make some with advdiff-sumo data simulate or data build"
                 raise FileError(place, f"holds no window file (*{SUFFIX})", remedy)
-            paths += inside
+            paths += found
         elif place.is_file():
             paths.append(place)
         else:
@@ -189,8 +189,8 @@ def _open(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
         with safe_open(path, framework="numpy") as file:
             header = dict(file.metadata() or {})
             if header.get("format") != FORMAT:
-                named = header.get("format", "none")
-                raise FileError(path, f"is no window file (format '{named}', not '{FORMAT}')", _AGAIN)
+                found = header.get("format", "none")
+                raise FileError(path, f"is no window file (format '{found}', not '{FORMAT}')", _AGAIN)
             missing = sorted(set(TENSORS) - set(file.keys()))
             if missing:
                 raise FileError(path, f"lacks the tensors {', '.join(missing)}", _AGAIN)
@@ -204,7 +204,7 @@ def _open(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
 
 
 def _sorted_header(raw: bytes) -> bytes:
-    """Return the file with its JSON header in order: safetensors writes the metadata in a random one."""
+    """Return the file with its JSON header sorted; safetensors writes the metadata in random order."""
     length = int.from_bytes(raw[:8], "little")
     header = json.loads(raw[8 : 8 + length])
     text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
@@ -213,14 +213,14 @@ def _sorted_header(raw: bytes) -> bytes:
 
 
 def _problem(windows: WindowFile) -> str:
-    """Return what is wrong with types, shapes, offsets or indices; "" when nothing is."""
+    """Return what is wrong with types, shapes, offsets or indices; "" if nothing is."""
     sizes: dict[str, int] = {}
     for name, (dtype, shape) in TENSORS.items():
         value = getattr(windows, name)
         if value.dtype != np.dtype(dtype) or value.ndim != len(shape):
             return f"{name} is {value.dtype} {value.shape}, expected {dtype} {shape}"
-        for length, wanted in zip(value.shape, shape, strict=True):
-            if length != (wanted if isinstance(wanted, int) else sizes.setdefault(wanted, length)):
+        for length, expected in zip(value.shape, shape, strict=True):
+            if length != (expected if isinstance(expected, int) else sizes.setdefault(expected, length)):
                 return f"{name} has shape {value.shape}, expected {shape} with {sizes}"
     if sizes["W+1"] != sizes["W"] + 1:
         return f"offset has {sizes['W+1']} entries for {sizes['W']} windows"

@@ -1,4 +1,4 @@
-"""Episodes in the formats of other tools, and back: see ``docs/exports.md``."""
+"""Writes episodes in the formats of other tools and reads them back; see ``docs/exports.md``."""
 
 from __future__ import annotations
 

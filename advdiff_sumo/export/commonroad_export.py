@@ -1,7 +1,7 @@
-"""CommonRoad scenarios, format 2020a (Althoff, Koschi, Manzinger 2017, doi:10.1109/IVS.2017.7995802).
+"""Writes and reads CommonRoad scenarios 2020a (Althoff, Koschi, Manzinger 2017, doi:10.1109/IVS.2017.7995802).
 
-Written against the schema of the format, https://commonroad.in.tum.de; commonroad-io pins an old protobuf and is
-only an outside reader in the tests.
+The module follows the schema of the format, https://commonroad.in.tum.de. It does not use commonroad-io, which pins an
+old protobuf; only the tests read its files with that.
 """
 
 from __future__ import annotations
@@ -16,25 +16,26 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.commonroad_lanelets import add_map
-from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, number, unwrapped
+from advdiff_sumo.export.export_scene import ExportScene, ImportedScene, decimal_text, unwrapped
 from advdiff_sumo.export.importers.assemble import AgentPart, assemble, reading
-from advdiff_sumo.export.importers.xml_file import attribute, found, read_xml, text_at
+from advdiff_sumo.export.importers.xml_file import attribute, element_at, read_xml, text_at
 
-#: No date of today: the same episode gives the same file.
+#: A constant date, so that the same episode gives the same file.
 DATE = "1970-01-01"
-_UNKNOWN_PLACE = ("999", "999")  # what CommonRoad writes for it
-_GOAL_SLACK_M = 2.0
+_UNKNOWN_PLACE = ("999", "999")  # CommonRoad's values for it
+_GOAL_MARGIN_M = 2.0  # added to length and width of the target's box for the goal area
 _WHAT = "a CommonRoad scenario"
 
 
 class CommonRoad:
-    """One scenario with lanelets, everybody's trajectory, and the target's planning problem."""
+    """Exporter of a scenario with lanelets, the trajectories of all agents and the target's planning problem."""
 
     def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
         """Write ``NAME.cr.xml``.
 
-        Each unbroken stretch of an agent is a dynamic obstacle; a comment in it holds the agent's name. The target
-        is one too, so that criticality can be measured; leave it out to test another planner on its problem.
+        Each uninterrupted part of an agent's track is a dynamic obstacle with a comment that contains the agent's name.
+        The target is an obstacle too, so that criticality can be measured. To test another planner on the planning
+        problem, remove it.
         """
         path, tracks = folder / f"{scene.name}.cr.xml", scene.tracks
         root = ET.Element("commonRoad", commonRoadVersion="2020a", benchmarkID=benchmark_id(scene.road.name))
@@ -47,12 +48,12 @@ class CommonRoad:
         tags = ET.SubElement(root, "scenarioTags")
         for tag in ("critical", "simulated"):
             ET.SubElement(tags, tag)
-        free = add_map(root, scene)
+        next_id = add_map(root, scene)
         for row in range(tracks.agents):
             for start, stop in stretches(tracks.valid[row]):
-                _obstacle(root, scene, row, start, stop, free)
-                free += 1
-        _problem(root, scene, free)
+                _add_obstacle(root, scene, row, start, stop, next_id)
+                next_id += 1
+        _add_problem(root, scene, next_id)
         ET.indent(root)
         ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
         return (path,)
@@ -63,28 +64,33 @@ class CommonRoad:
 
 
 def benchmark_id(net: str) -> str:
-    """Return a benchmark id in the form of CommonRoad for a scenario on *net* (ZAM: an imaginary country)."""
+    """Return a benchmark id in CommonRoad's form for a scenario on *net* (ZAM: an imaginary country)."""
     words = re.findall(r"[A-Za-z0-9]+", net)
     return f"ZAM_{''.join(word[:1].upper() + word[1:] for word in words) or 'Net'}-1_1_T-1"
 
 
 def _location(root: ET.Element, scene: ExportScene) -> None:
     degrees = scene.road.lonlat(scene.tracks.xy_m[scene.target][scene.tracks.valid[scene.target]][0])
-    lon, lat = _UNKNOWN_PLACE if degrees is None else (number(degrees[0], 7), number(degrees[1], 7))
+    lon, lat = (
+        _UNKNOWN_PLACE if degrees is None else (decimal_text(degrees[0], 7), decimal_text(degrees[1], 7))
+    )
     place = ET.SubElement(root, "location")
     for name, value in (("geoNameId", "-999"), ("gpsLatitude", lat), ("gpsLongitude", lon)):
         ET.SubElement(place, name).text = value
 
 
-def _obstacle(root: ET.Element, scene: ExportScene, row: int, start: int, stop: int, free: int) -> None:
+def _add_obstacle(
+    root: ET.Element, scene: ExportScene, row: int, start: int, stop: int, obstacle_id: int
+) -> None:
+    """Add the steps *start* to *stop* of agent *row* as an obstacle."""
     tracks = scene.tracks
-    element = ET.SubElement(root, "dynamicObstacle", id=str(free))
+    element = ET.SubElement(root, "dynamicObstacle", id=str(obstacle_id))
     role = "target" if row == scene.target else "agent"
     element.append(ET.Comment(f" {role}: {quote(tracks.ids[row], safe='').replace('-', '%2D')} "))
     ET.SubElement(element, "type").text = AgentClass(int(tracks.classes[row])).name.lower()
     box = ET.SubElement(ET.SubElement(element, "shape"), "rectangle")
     for name, size in zip(("length", "width"), tracks.size_m[row], strict=True):
-        ET.SubElement(box, name).text = number(size)
+        ET.SubElement(box, name).text = decimal_text(size)
     yaw = unwrapped(tracks.yaw_rad[row, start:stop])
     trajectory = None
     for step in range(start, stop):
@@ -93,50 +99,52 @@ def _obstacle(root: ET.Element, scene: ExportScene, row: int, start: int, stop: 
         else:
             trajectory = ET.SubElement(element, "trajectory") if trajectory is None else trajectory
             state = ET.SubElement(trajectory, "state")
-        _state(state, tracks.xy_m[row, step], yaw[step - start], tracks.speed_mps[row, step], step)
+        _fill_state(state, tracks.xy_m[row, step], yaw[step - start], tracks.speed_mps[row, step], step)
 
 
-def _state(state: ET.Element, xy_m: FloatArray, yaw_rad: float, speed_mps: float, step: int) -> None:
+def _fill_state(state: ET.Element, xy_m: FloatArray, yaw_rad: float, speed_mps: float, step: int) -> None:
     point = ET.SubElement(ET.SubElement(state, "position"), "point")
     for name, value in zip(("x", "y"), xy_m, strict=True):
-        ET.SubElement(point, name).text = number(value)
-    _exact(state, "orientation", number(yaw_rad, 6))
-    _exact(state, "time", str(step))
-    _exact(state, "velocity", number(speed_mps))
+        ET.SubElement(point, name).text = decimal_text(value)
+    _add_exact(state, "orientation", decimal_text(yaw_rad, 6))
+    _add_exact(state, "time", str(step))
+    _add_exact(state, "velocity", decimal_text(speed_mps))
 
 
-def _exact(parent: ET.Element, name: str, value: str) -> None:
+def _add_exact(parent: ET.Element, name: str, value: str) -> None:
     ET.SubElement(ET.SubElement(parent, name), "exact").text = value
 
 
-def _problem(root: ET.Element, scene: ExportScene, free: int) -> None:
-    """Add the target's task: from where it was first to where it was last, in the time that it took."""
+def _add_problem(root: ET.Element, scene: ExportScene, problem_id: int) -> None:
+    """Add the planning problem: from the target's first to its last pose, in at most the time that it took."""
     tracks, row = scene.tracks, scene.target
-    there = np.flatnonzero(tracks.valid[row])
-    first, last = int(there[0]), int(there[-1])
-    problem = ET.SubElement(root, "planningProblem", id=str(free))
+    steps = np.flatnonzero(tracks.valid[row])
+    first, last = int(steps[0]), int(steps[-1])
+    problem = ET.SubElement(root, "planningProblem", id=str(problem_id))
     state = ET.SubElement(problem, "initialState")
-    _state(state, tracks.xy_m[row, first], tracks.yaw_rad[row, first], tracks.speed_mps[row, first], first)
+    _fill_state(
+        state, tracks.xy_m[row, first], tracks.yaw_rad[row, first], tracks.speed_mps[row, first], first
+    )
     for name in ("yawRate", "slipAngle"):
-        _exact(state, name, "0.0")
+        _add_exact(state, name, "0.0")
     goal = ET.SubElement(problem, "goalState")
     time = ET.SubElement(goal, "time")
     ET.SubElement(time, "intervalStart").text = "0"
     ET.SubElement(time, "intervalEnd").text = str(max(last, 1))
     area = ET.SubElement(ET.SubElement(goal, "position"), "rectangle")
-    for name, size in zip(("length", "width"), tracks.size_m[row] + _GOAL_SLACK_M, strict=True):
-        ET.SubElement(area, name).text = number(size)
-    ET.SubElement(area, "orientation").text = number(tracks.yaw_rad[row, last], 6)
+    for name, size in zip(("length", "width"), tracks.size_m[row] + _GOAL_MARGIN_M, strict=True):
+        ET.SubElement(area, name).text = decimal_text(size)
+    ET.SubElement(area, "orientation").text = decimal_text(tracks.yaw_rad[row, last], 6)
     centre = ET.SubElement(area, "center")
     for name, value in zip(("x", "y"), tracks.xy_m[row, last], strict=True):
-        ET.SubElement(centre, name).text = number(value)
+        ET.SubElement(centre, name).text = decimal_text(value)
 
 
 def read_commonroad(path: Path) -> ImportedScene:
-    """Return the trajectories in *path*; obstacles of one name are stretches of one agent.
+    """Return the trajectories in *path*; obstacles with the same name are parts of one agent's track.
 
     Raises:
-        FileError: it is missing or damaged, or its obstacles carry no names.
+        FileError: it is missing or damaged, or its obstacles have no names.
     """
     root = read_xml(path, "commonRoad", _WHAT)
     with reading(path, _WHAT):
@@ -146,7 +154,7 @@ def read_commonroad(path: Path) -> ImportedScene:
 
 def _part(element: ET.Element) -> AgentPart:
     role, name = _name(element)
-    states = [found(element, "initialState"), *element.iterfind("trajectory/state")]
+    states = [element_at(element, "initialState"), *element.iterfind("trajectory/state")]
     xy = [[float(text_at(state, f"position/point/{axis}")) for axis in ("x", "y")] for state in states]
     yaw, step, speed = (
         np.array([float(text_at(state, f"{key}/exact")) for state in states])
@@ -166,9 +174,9 @@ def _part(element: ET.Element) -> AgentPart:
 
 
 def _name(element: ET.Element) -> tuple[str, str]:
-    """Return role and name of the agent, from the comment in its obstacle."""
+    """Return the role and name of the agent from the comment in its obstacle."""
     for child in element:
-        tag: object = child.tag  # of a comment, the function that makes comments
+        tag: object = child.tag  # for a comment, the tag is the function that creates comments
         if tag is ET.Comment and child.text:
             role, _, name = child.text.strip().partition(": ")
             if role in ("target", "agent"):

@@ -1,4 +1,4 @@
-"""One row an agent and instant, for spreadsheets and scripts."""
+"""Writes and reads CSV files with one row for each agent and instant, for spreadsheets and scripts."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _TYPES = {
 
 
 class Csv:
-    """CSV with the columns of ``states.parquet``, numbers in full."""
+    """Exporter of CSV with columns of ``states.parquet``; numbers are not rounded."""
 
     def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
-        """Write ``NAME.csv``, rows by time."""
+        """Write ``NAME.csv``, with rows ordered by time."""
         tracks, path = scene.tracks, folder / f"{scene.name}.csv"
         step, row = np.nonzero(tracks.valid.T)
         kinds = [AgentClass(int(k)).name.lower() for k in tracks.classes]
@@ -54,7 +54,7 @@ def read_csv(path: Path) -> ImportedScene:
     """Return the trajectories in *path*.
 
     Raises:
-        FileError: it is missing, or no CSV with the columns that are written.
+        FileError: it is missing, or is not a CSV file with the columns that :class:`Csv` writes.
     """
     options = pa_csv.ConvertOptions(
         column_types=_TYPES, include_columns=list(_TYPES), strings_can_be_null=False
@@ -70,17 +70,17 @@ def read_csv(path: Path) -> ImportedScene:
         dt_s = spacing_s(values["time_s"])
         parts = []
         for name in dict.fromkeys(names.tolist()):
-            at = np.flatnonzero(names == name)
+            rows = np.flatnonzero(names == name)
             parts.append(
                 AgentPart(
                     name=str(name),
-                    kind=AgentClass[str(table["class"][int(at[0])].as_py()).upper()],
-                    size_m=(float(values["length_m"][at[0]]), float(values["width_m"][at[0]])),
-                    step=steps_of(values["time_s"][at], dt_s),
-                    xy_m=np.column_stack((values["x_m"][at], values["y_m"][at])),
-                    yaw_rad=values["yaw_rad"][at],
-                    speed_mps=values["speed_mps"][at],
-                    is_target=bool(table["is_target"][int(at[0])].as_py()),
+                    kind=AgentClass[str(table["class"][int(rows[0])].as_py()).upper()],
+                    size_m=(float(values["length_m"][rows[0]]), float(values["width_m"][rows[0]])),
+                    step=steps_of(values["time_s"][rows], dt_s),
+                    xy_m=np.column_stack((values["x_m"][rows], values["y_m"][rows])),
+                    yaw_rad=values["yaw_rad"][rows],
+                    speed_mps=values["speed_mps"][rows],
+                    is_target=bool(table["is_target"][int(rows[0])].as_py()),
                 )
             )
         return assemble(parts, dt_s)

@@ -1,4 +1,4 @@
-"""Contract checker of exporters, for every built-in and for users' own."""
+"""Checks that an exporter, built-in or a user's own, fulfils the contract of the protocol ``Exporter``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
 from advdiff_sumo.export.exporter_protocol import Exporter
 
-#: How far a trajectory may be from what was written.
+#: Largest permitted differences between the trajectories written and read.
 POSITION_M = 0.01
 HEADING_RAD = float(np.deg2rad(0.1))
 _SIZE_M = 0.01
 
 
 def check_exporter(exporter: Exporter, scene: ExportScene) -> list[str]:
-    """Return what *exporter* does against its contract, one sentence each; empty when it keeps it.
+    """Return one sentence for each violation of the contract by *exporter*; empty if there is none.
 
-    Writes *scene* twice into folders of its own, reads it back, and reads a file that is none.
+    The check writes *scene* twice into temporary folders, reads it back, and reads a damaged file.
     """
     with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
         try:
@@ -70,26 +70,29 @@ def _refusal_problems(exporter: Exporter, path: Path) -> Iterator[str]:
 
 
 def compare(read: ImportedScene, scene: ExportScene) -> Iterator[str]:
-    """Yield how *read* differs from *scene* by more than ``POSITION_M`` and ``HEADING_RAD``."""
-    ours, theirs = scene.tracks, read.tracks
-    if sorted(theirs.ids) != sorted(ours.ids):
-        yield f"it has the agents {sorted(theirs.ids)}, written were {sorted(ours.ids)}"
+    """Yield a sentence for each difference between *read* and *scene*.
+
+    Positions may differ by ``POSITION_M`` and headings by ``HEADING_RAD``.
+    """
+    given, found = scene.tracks, read.tracks
+    if sorted(found.ids) != sorted(given.ids):
+        yield f"it has the agents {sorted(found.ids)}, written were {sorted(given.ids)}"
         return
-    theirs = theirs.rows([theirs.index[name] for name in ours.ids])
-    if read.tracks.ids[read.target] != ours.ids[scene.target]:
-        yield f"the target is {read.tracks.ids[read.target]}, not {ours.ids[scene.target]}"
-    if abs(theirs.dt_s - ours.dt_s) > 1e-6 or theirs.t0_s != ours.t0_s:
-        yield f"instants are {theirs.dt_s} s apart from {theirs.t0_s} s on, not {ours.dt_s} s from {ours.t0_s} s"
-    if theirs.valid.shape != ours.valid.shape or (theirs.valid != ours.valid).any():
+    found = found.rows([found.index[name] for name in given.ids])
+    if read.tracks.ids[read.target] != given.ids[scene.target]:
+        yield f"the target is {read.tracks.ids[read.target]}, not {given.ids[scene.target]}"
+    if abs(found.dt_s - given.dt_s) > 1e-6 or found.t0_s != given.t0_s:
+        yield f"instants are {found.dt_s} s apart from {found.t0_s} s on, not {given.dt_s} s from {given.t0_s} s"
+    if found.valid.shape != given.valid.shape or (found.valid != given.valid).any():
         yield "agents are there at other instants"
         return
-    if (theirs.classes != ours.classes).any():
+    if (found.classes != given.classes).any():
         yield "agents are of other classes"
-    if np.abs(theirs.size_m - ours.size_m).max() > _SIZE_M:
-        yield f"boxes differ by up to {np.abs(theirs.size_m - ours.size_m).max():.3f} m"
-    apart = np.hypot(*(theirs.xy_m - ours.xy_m)[ours.valid].T)
-    turned = np.abs(wrap_angle(theirs.yaw_rad - ours.yaw_rad)[ours.valid])
-    if apart.max() > POSITION_M:
-        yield f"positions differ by up to {apart.max():.4f} m"
-    if turned.max() > HEADING_RAD:
-        yield f"headings differ by up to {np.rad2deg(turned.max()):.4f}°"
+    if np.abs(found.size_m - given.size_m).max() > _SIZE_M:
+        yield f"boxes differ by up to {np.abs(found.size_m - given.size_m).max():.3f} m"
+    distance_m = np.hypot(*(found.xy_m - given.xy_m)[given.valid].T)
+    turn_rad = np.abs(wrap_angle(found.yaw_rad - given.yaw_rad)[given.valid])
+    if distance_m.max() > POSITION_M:
+        yield f"positions differ by up to {distance_m.max():.4f} m"
+    if turn_rad.max() > HEADING_RAD:
+        yield f"headings differ by up to {np.rad2deg(turn_rad.max()):.4f}°"

@@ -1,4 +1,4 @@
-"""What writes an episode in the format of another tool."""
+"""Defines the interface of exporters, which write episodes in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
 
 @runtime_checkable
 class Exporter(Protocol):
-    """Writes one format and reads it back; it keeps nothing between calls."""
+    """Writes one format and reads it back; it stores nothing between calls."""
 
     def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
-        """Write *scene* into the existing *folder* and return the files, first the one that :meth:`read` takes.
+        """Write *scene* into the existing *folder* and return the files, first the one that :meth:`read` reads.
 
-        The same scene gives the same bytes; file names begin with the scene's name or hold it.
+        The same scene gives the same bytes. File names contain the scene's name.
 
         Raises:
-            ConfigError: the format cannot hold such a scene.
+            ConfigError: the format cannot represent such a scene.
             MissingExtraError: the format needs a package that is not installed.
             OSError: the folder cannot be written.
         """

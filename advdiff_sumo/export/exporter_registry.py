@@ -1,4 +1,4 @@
-"""Every export format by name."""
+"""Lists the export formats by name, and creates their exporters."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ EXPORTERS = Registry(
 
 
 def make_exporter(name: str) -> Exporter:
-    """Return the exporter that *name* stands for.
+    """Return the exporter with this name.
 
     Args:
         name: a built-in or plug-in (case, hyphen and underscore do not matter), or ``package.module:Class``.
 
     Raises:
-        UnknownNameError: no such format; with the nearest name.
+        UnknownNameError: no such format; the message suggests the nearest name.
         ConfigError: the class cannot be imported or is no exporter.
     """
     canonical = EXPORTERS.canonical(name)

@@ -1,4 +1,4 @@
-"""Who a lane is for, in the few kinds that other formats tell apart."""
+"""Classifies lanes by the few kinds that other formats distinguish."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from advdiff_sumo.maps import Lane
 
 
 class LaneKind(StrEnum):
-    """Kinds of lane."""
+    """Kinds of lanes."""
 
     CAR = "car"
     BUS = "bus"
@@ -17,8 +17,8 @@ class LaneKind(StrEnum):
     OTHER = "other"
 
 
-def kind_of(lane: Lane) -> LaneKind:
-    """Return the kind of *lane*: cars before buses before bicycles before people on foot."""
+def lane_kind(lane: Lane) -> LaneKind:
+    """Return the kind of *lane*; the first of cars, buses, bicycles and pedestrians that may use it."""
     if "passenger" in lane.allows:
         return LaneKind.CAR
     if lane.is_drivable:

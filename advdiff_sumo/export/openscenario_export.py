@@ -1,4 +1,7 @@
-"""ASAM OpenSCENARIO XML 1.2 with the OpenDRIVE of the net, https://www.asam.net/standards/detail/openscenario-xml/."""
+"""Writes ASAM OpenSCENARIO XML 1.2 with the net as OpenDRIVE.
+
+Standard: https://www.asam.net/standards/detail/openscenario-xml/.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,16 @@ from advdiff_sumo.export.net_opendrive import write_net_opendrive
 
 
 class OpenScenario:
-    """A scenario in which everybody follows the recorded trajectory."""
+    """Exporter of a scenario in which all agents follow their recorded trajectories."""
 
     def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
         """Write ``NAME.xosc`` and ``NAME.xodr``.
 
-        Trajectories are of the rear axle's centre, as the format has it (the box's centre for people on foot), with
-        times since the start. Who is not there all the time is added and deleted.
+        Positions are those of the rear axle's centre, as the format requires (of the box's centre for pedestrians).
+        Times count from the start. Agents that are not always present are added and deleted.
 
         Raises:
-            ConfigError: the episode has one instant only: nobody moves, which the format has no word for.
+            ConfigError: the episode has only one instant; the format cannot represent a scene without motion.
         """
         if scene.tracks.steps < 2:
             raise ConfigError(

@@ -1,7 +1,7 @@
-"""ScenarioNet records (Li et al. 2023, arXiv:2306.12241): pickles of plain containers and NumPy arrays.
+"""Writes and reads ScenarioNet records (Li et al. 2023, arXiv:2306.12241): pickles of containers and NumPy arrays.
 
-Keys as MetaDrive's ``ScenarioDescription`` wants them. ``advdiff-sumo run --scenes`` reads the record as a driving
-log, and ``advdiff-sumo convert`` makes a net of its map.
+The keys are those of MetaDrive's ``ScenarioDescription``. ``advdiff-sumo run --scenes`` reads a record as a driving
+log, and ``advdiff-sumo convert`` converts its map into a net.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from advdiff_sumo.data.scenarionet_log import SIMULATED as DATASET
 from advdiff_sumo.data.scenarionet_log import read_record
 from advdiff_sumo.export.export_scene import MARGIN_M, ExportScene, ImportedScene
 from advdiff_sumo.export.importers.assemble import reading
-from advdiff_sumo.export.lane_use import LaneKind, kind_of
+from advdiff_sumo.export.lane_use import LaneKind, lane_kind
 from advdiff_sumo.maps import Lane
 
 VERSION = "1"
-_PROTOCOL = 4  # read by every Python that ScenarioNet runs on
-#: MetaDrive's type, nuScenes' category (which keeps lorry and bus apart), and a usual height in m.
+_PROTOCOL = 4  # every Python on which ScenarioNet runs can read it
+#: MetaDrive's type, nuScenes' category (which distinguishes truck and bus), and a usual height in m.
 TYPES = {
     AgentClass.CAR: ("VEHICLE", "vehicle.car", 1.6),
     AgentClass.TRUCK: ("VEHICLE", "vehicle.truck", 3.2),
@@ -48,10 +48,10 @@ CONNECTOR = "LANE_SURFACE_UNSTRUCTURE"
 
 
 class ScenarioNet:
-    """One record, in the net's frame, heights zero."""
+    """Exporter of a record in the net's frame, with all heights zero."""
 
     def write(self, scene: ExportScene, folder: Path) -> tuple[Path, ...]:
-        """Write ``sd_advdiff-sumo_1_NAME.pkl``; what is absent at an instant is zero there, as ScenarioNet has it."""
+        """Write ``sd_advdiff-sumo_1_NAME.pkl``; the states of absent agents are zero, as in ScenarioNet."""
         path = folder / f"sd_{DATASET}_{VERSION}_{scene.name}.pkl"
         path.write_bytes(pickle.dumps(_record(scene), protocol=_PROTOCOL))
         return (path,)
@@ -102,31 +102,37 @@ def _track(scene: ExportScene, row: int) -> dict[str, Any]:
         "width": width,
         "height": np.where(valid, height, 0.0),
     }
-    about = {"track_length": tracks.steps, "type": category, "object_id": tracks.ids[row], "dataset": DATASET}
-    return {"type": kind, "state": state, "metadata": about}
+    metadata = {
+        "track_length": tracks.steps,
+        "type": category,
+        "object_id": tracks.ids[row],
+        "dataset": DATASET,
+    }
+    return {"type": kind, "state": state, "metadata": metadata}
 
 
 def _features(scene: ExportScene) -> Iterator[tuple[str, dict[str, Any]]]:
-    kept = {lane.id: lane for lane in scene.lanes if kind_of(lane) in LANES}
-    entries: dict[str, list[str]] = {name: [] for name in kept}
-    exits: dict[str, list[str]] = {name: [] for name in kept}
-    for before, after in scene.joints(kept):
-        exits[before].append(after)
-        entries[after].append(before)
-    for name, lane in kept.items():
-        yield name, _lane(lane, kept, entries[name], exits[name])
-    near = shapely.box(*_extent(kept)).buffer(MARGIN_M)
+    """Yield the name and content of each map feature: lanes and road edges."""
+    lanes = {lane.id: lane for lane in scene.lanes if lane_kind(lane) in LANES}
+    entries: dict[str, list[str]] = {name: [] for name in lanes}
+    exits: dict[str, list[str]] = {name: [] for name in lanes}
+    for predecessor, successor in scene.joints(lanes):
+        exits[predecessor].append(successor)
+        entries[successor].append(predecessor)
+    for name, lane in lanes.items():
+        yield name, _lane(lane, lanes, entries[name], exits[name])
+    area = shapely.box(*_extent(lanes)).buffer(MARGIN_M)
     for number, ring in enumerate(scene.road.area.smooth_rings()):
-        for part, line in enumerate(_lines(shapely.LineString(ring).intersection(near))):
+        for part, line in enumerate(_lines(shapely.LineString(ring).intersection(area))):
             yield f"edge_{number}_{part}", {"type": "ROAD_EDGE_BOUNDARY", "polyline": line}
 
 
-def _lane(lane: Lane, kept: dict[str, Lane], entries: list[str], exits: list[str]) -> dict[str, Any]:
+def _lane(lane: Lane, lanes: dict[str, Lane], entries: list[str], exits: list[str]) -> dict[str, Any]:
     centre = lane.centre_xy_m
     left, right = (lane.line.offset(d).xy_m for d in (0.5 * lane.width_m, -0.5 * lane.width_m))
-    neighbours = [[{"feature_id": name}] if name in kept else [] for name in (lane.left_id, lane.right_id)]
+    neighbours = [[{"feature_id": name}] if name in lanes else [] for name in (lane.left_id, lane.right_id)]
     return {
-        "type": CONNECTOR if lane.is_internal else LANES[kind_of(lane)],
+        "type": CONNECTOR if lane.is_internal else LANES[lane_kind(lane)],
         "polyline": np.column_stack((centre, np.zeros(len(centre)))),
         "polygon": np.vstack((left, right[::-1])),
         "width": np.full((len(centre), 2), 0.5 * lane.width_m),
@@ -138,8 +144,8 @@ def _lane(lane: Lane, kept: dict[str, Lane], entries: list[str], exits: list[str
     }
 
 
-def _extent(kept: dict[str, Lane]) -> tuple[float, float, float, float]:
-    points = np.vstack([lane.centre_xy_m for lane in kept.values()]) if kept else np.zeros((1, 2))
+def _extent(lanes: dict[str, Lane]) -> tuple[float, float, float, float]:
+    points = np.vstack([lane.centre_xy_m for lane in lanes.values()]) if lanes else np.zeros((1, 2))
     low, high = points.min(axis=0), points.max(axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
@@ -150,7 +156,7 @@ def _lines(geometry: BaseGeometry) -> list[FloatArray]:
 
 
 def read_scenarionet(path: Path) -> ImportedScene:
-    """Return the trajectories in *path*; nothing in the pickle is run (see ``data.pickles``).
+    """Return the trajectories in *path*; no code in the pickle is executed (see ``data.pickles``).
 
     Raises:
         FileError: it is missing, damaged or no record.
@@ -161,9 +167,9 @@ def read_scenarionet(path: Path) -> ImportedScene:
     with reading(path, "a ScenarioNet record"):
         record = read_record(path)
         if record["metadata"].get("dataset") != DATASET:
-            return ImportedScene(log.tracks, log.ego)  # measured velocities jitter, also of who stands
-        rows = record["tracks"]
-        velocity = np.array([np.asarray(rows[name]["state"]["velocity"], float) for name in log.tracks.ids])
-        along = (velocity * unit(log.tracks.yaw_rad)).sum(axis=-1)
-        speed = np.where(log.tracks.valid, along, np.nan)
+            return ImportedScene(log.tracks, log.ego)  # measured velocities jitter, also of standing agents
+        tracks = record["tracks"]
+        velocity = np.array([np.asarray(tracks[name]["state"]["velocity"], float) for name in log.tracks.ids])
+        along_mps = (velocity * unit(log.tracks.yaw_rad)).sum(axis=-1)
+        speed = np.where(log.tracks.valid, along_mps, np.nan)
         return ImportedScene(replace(log.tracks, speed_mps=speed), log.ego)

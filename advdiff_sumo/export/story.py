@@ -1,4 +1,4 @@
-"""An OpenSCENARIO file: its vehicles and people, who appears, follows which trajectory, and leaves; needs the extra."""
+"""Builds an OpenSCENARIO file: entities that appear, follow their trajectories and leave; needs the extra."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from advdiff_sumo.export.export_scene import ExportScene, plain_names, unwrapped
 
 _MINOR = 2
 PLAIN_NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"
-#: No date of today: the same episode gives the same file.
+#: A constant date, so that the same episode gives the same file.
 _DATE = datetime.datetime(1970, 1, 1)
 _TIME_DIGITS, _POSITION_DIGITS, _YAW_DIGITS = 6, 4, 6
-#: Usual share of the length between the axles; the box's centre is taken to be half-way.
+#: Usual wheelbase as a share of the length; the box's centre is assumed to be in the middle of it.
 WHEELBASE_SHARE = 0.6
 _HEIGHT_M = {AgentClass.CAR: 1.6, AgentClass.TRUCK: 3.2, AgentClass.BUS: 3.2}
-_LOW_HEIGHT_M = 1.7
-_WHEEL_M, _TOP_MPS, _ACCEL_MPS2, _BRAKE_MPS2, _STEER_RAD = 0.6, 70.0, 10.0, 10.0, 0.6
+_OTHER_HEIGHT_M = 1.7
+# properties that the format requires and the episode does not have: usual values
+_WHEEL_DIAMETER_M, _MAX_STEER_RAD = 0.6, 0.6
+_MAX_SPEED_MPS, _MAX_ACCEL_MPS2, _MAX_BRAKE_MPS2 = 70.0, 10.0, 10.0
 _PERSON_KG = 80
 
 
 def scenario_of(scene: ExportScene, roads: str) -> xosc.Scenario:
-    """Return the whole file; *roads* names the OpenDRIVE file beside it."""
+    """Return the content of the file; *roads* is the name of the OpenDRIVE file beside it."""
     entities = xosc.Entities()
     names = plain_names(scene.tracks.ids, PLAIN_NAME)
     for row, name in enumerate(names):
@@ -49,8 +51,8 @@ def scenario_of(scene: ExportScene, roads: str) -> xosc.Scenario:
 def _storyboard(scene: ExportScene, names: list[str]) -> xosc.StoryBoard:
     init = xosc.Init()
     end_s = scene.tracks.steps * scene.tracks.dt_s
-    board = xosc.StoryBoard(init, _at("the end", end_s, start=False))
-    story, act = xosc.Story("episode"), xosc.Act("traffic", _at("the start", 0.0))
+    board = xosc.StoryBoard(init, _time_trigger("the end", end_s, start=False))
+    story, act = xosc.Story("episode"), xosc.Act("traffic", _time_trigger("the start", 0.0))
     for row, name in enumerate(names):
         if scene.tracks.valid[row, 0]:
             init.add_init_action(name, xosc.TeleportAction(_pose(scene, row, 0, _reference(scene, row))))
@@ -67,22 +69,25 @@ def _storyboard(scene: ExportScene, names: list[str]) -> xosc.StoryBoard:
 
 
 def _events(scene: ExportScene, row: int, name: str) -> Iterator[xosc.Event]:
-    """Yield for each stretch of an agent: it appears (unless there from the start), drives, leaves."""
+    """Yield the events of each uninterrupted part of an agent's track.
+
+    The agent appears, unless it is present from the start, follows its trajectory, and leaves.
+    """
     tracks, reference = scene.tracks, _reference(scene, row)
     for start, stop in stretches(tracks.valid[row]):
         if start > 0:
-            appears = xosc.AddEntityAction(name, _pose(scene, row, start, reference))
-            yield _event(f"{name} appears {start}", appears, start * tracks.dt_s)
+            add = xosc.AddEntityAction(name, _pose(scene, row, start, reference))
+            yield _event(f"{name} appears {start}", add, start * tracks.dt_s)
         if stop - start > 1:
-            drives = _follow(scene, row, start, stop, reference, name)
-            yield _event(f"{name} drives {start}", drives, start * tracks.dt_s)
+            follow = _follow(scene, row, start, stop, reference, name)
+            yield _event(f"{name} drives {start}", follow, start * tracks.dt_s)
         if stop < tracks.steps:
             yield _event(f"{name} leaves {stop}", xosc.DeleteEntityAction(name), (stop - 0.5) * tracks.dt_s)
 
 
 def _event(name: str, action: object, time_s: float) -> xosc.Event:
     event = xosc.Event(name, xosc.Priority.parallel)
-    event.add_trigger(_at(f"when {name}", time_s))
+    event.add_trigger(_time_trigger(f"when {name}", time_s))
     event.add_action(f"action {name}", action)
     return event
 
@@ -90,10 +95,11 @@ def _event(name: str, action: object, time_s: float) -> xosc.Event:
 def _follow(
     scene: ExportScene, row: int, start: int, stop: int, reference: Reference, name: str
 ) -> xosc.FollowTrajectoryAction:
+    """Return the action of following the trajectory of agent *row* from step *start* to *stop*."""
     times = np.round(np.arange(start, stop) * scene.tracks.dt_s, _TIME_DIGITS)
     yaw = unwrapped(scene.tracks.yaw_rad[row, start:stop])
     xy = reference.from_centre(scene.tracks.xy_m[row, start:stop], yaw)
-    poses = [_world(x, y, h) for (x, y), h in zip(xy, yaw, strict=True)]
+    poses = [_position(x, y, h) for (x, y), h in zip(xy, yaw, strict=True)]
     line = xosc.Trajectory(f"trajectory {name} {start}", closed=False)
     line.add_shape(xosc.Polyline(times.tolist(), poses))
     return xosc.FollowTrajectoryAction(
@@ -108,20 +114,20 @@ def _reference(scene: ExportScene, row: int) -> Reference:
 def _pose(scene: ExportScene, row: int, step: int, reference: Reference) -> xosc.WorldPosition:
     yaw = scene.tracks.yaw_rad[row, step]
     x, y = reference.from_centre(scene.tracks.xy_m[row, step], yaw)
-    return _world(float(x), float(y), float(yaw))
+    return _position(float(x), float(y), float(yaw))
 
 
-def _world(x_m: float, y_m: float, yaw_rad: float) -> xosc.WorldPosition:
+def _position(x_m: float, y_m: float, yaw_rad: float) -> xosc.WorldPosition:
     x, y = (round(float(value), _POSITION_DIGITS) for value in (x_m, y_m))
     return xosc.WorldPosition(x=x, y=y, z=0, h=round(float(yaw_rad), _YAW_DIGITS))
 
 
 def _speed(speed_mps: float) -> xosc.AbsoluteSpeedAction:
-    at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
-    return xosc.AbsoluteSpeedAction(round(speed_mps, _POSITION_DIGITS), at_once)
+    immediate = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
+    return xosc.AbsoluteSpeedAction(round(speed_mps, _POSITION_DIGITS), immediate)
 
 
-def _at(name: str, time_s: float, start: bool = True) -> xosc.ValueTrigger:
+def _time_trigger(name: str, time_s: float, start: bool = True) -> xosc.ValueTrigger:
     condition = xosc.SimulationTimeCondition(round(time_s, _TIME_DIGITS), xosc.Rule.greaterOrEqual)
     return xosc.ValueTrigger(
         name, 0, xosc.ConditionEdge.none, condition, triggeringpoint="start" if start else "stop"
@@ -130,40 +136,40 @@ def _at(name: str, time_s: float, start: bool = True) -> xosc.ValueTrigger:
 
 @dataclass(frozen=True)
 class Reference:
-    """The point of a box that OpenSCENARIO's positions are of.
+    """The reference point of an entity, of which OpenSCENARIO states the position.
 
     Attributes:
-        centre_ahead_m: how far the box's centre is ahead of it.
+        centre_ahead_m: distance of the box's centre ahead of it.
     """
 
     centre_ahead_m: float
 
     def from_centre(self, centre_xy_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-        """Return reference points (…, 2) of box centres."""
+        """Return the reference points (…, 2) of boxes with these centres and headings."""
         return centre_xy_m - self.centre_ahead_m * unit(yaw_rad)
 
 
 def reference_of(kind: int, length_m: float) -> Reference:
-    """Return the reference point: the rear axle's centre, or the box's centre of people on foot."""
+    """Return the reference point: the rear axle's centre, or the box's centre for pedestrians."""
     if kind == AgentClass.PEDESTRIAN:
         return Reference(0.0)
     return Reference(round(0.5 * WHEELBASE_SHARE * length_m, 4))
 
 
 def entity_of(scene: ExportScene, row: int, name: str) -> xosc.Vehicle | xosc.Pedestrian:
-    """Return the entity of an agent; the properties ``agent`` and ``role`` keep its name and who is tested."""
+    """Return the entity of an agent; its properties ``agent`` and ``role`` hold its name and mark the target."""
     kind = AgentClass(int(scene.tracks.classes[row]))
     length, width = (round(float(x), 4) for x in scene.tracks.size_m[row])
-    reference, height = reference_of(kind, length), _HEIGHT_M.get(kind, _LOW_HEIGHT_M)
+    reference, height = reference_of(kind, length), _HEIGHT_M.get(kind, _OTHER_HEIGHT_M)
     box = xosc.BoundingBox(width, length, height, reference.centre_ahead_m, 0, round(0.5 * height, 4))
     entity: xosc.Vehicle | xosc.Pedestrian
     if kind is AgentClass.PEDESTRIAN:
         entity = xosc.Pedestrian(name, _PERSON_KG, xosc.PedestrianCategory.pedestrian, box)
     else:
-        base = 2.0 * reference.centre_ahead_m
-        front = xosc.Axle(_STEER_RAD, _WHEEL_M, width, base, 0.5 * _WHEEL_M)
-        rear = xosc.Axle(0, _WHEEL_M, width, 0, 0.5 * _WHEEL_M)
-        limits = (_TOP_MPS, _ACCEL_MPS2, _BRAKE_MPS2)
+        wheelbase = 2.0 * reference.centre_ahead_m
+        front = xosc.Axle(_MAX_STEER_RAD, _WHEEL_DIAMETER_M, width, wheelbase, 0.5 * _WHEEL_DIAMETER_M)
+        rear = xosc.Axle(0, _WHEEL_DIAMETER_M, width, 0, 0.5 * _WHEEL_DIAMETER_M)
+        limits = (_MAX_SPEED_MPS, _MAX_ACCEL_MPS2, _MAX_BRAKE_MPS2)
         entity = xosc.Vehicle(name, _category(kind), box, front, rear, *limits)
     entity.add_property("agent", scene.tracks.ids[row])
     entity.add_property("role", "target" if row == scene.target else "other")

@@ -1,11 +1,11 @@
-"""Serves a Python planner to advdiff-sumo from an environment that has only grpcio, protobuf and NumPy.
+"""Serves a Python planner to advdiff-sumo from an environment that needs only grpcio, protobuf and NumPy.
 
 ::
 
     from advdiff_sumo.planner_kit import serve
     serve(MyPlanner)
 
-Nothing here imports more of the package than a few modules of ``core`` (``planners.remote.write_kit`` lists them).
+This package imports only a few modules of ``core`` besides its own (``planners.remote.write_kit`` lists them).
 """
 
 from advdiff_sumo.core.plan import Controls, Trajectory

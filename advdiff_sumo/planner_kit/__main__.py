@@ -1,4 +1,4 @@
-"""``python -m advdiff_sumo.planner_kit my_planner:MyPlanner``: serve a planner without a line of code."""
+"""Serves a planner from the command line: ``python -m advdiff_sumo.planner_kit my_planner:MyPlanner``."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ def main() -> None:
     parser.add_argument(
         "--read-road", help="makes the map out of the net's path: advdiff_sumo.maps:RoadMap.read"
     )
-    given = parser.parse_args()
+    args = parser.parse_args()
     sys.path.insert(0, "")
     try:
-        made, read_road = attribute(given.planner), attribute(given.read_road) if given.read_road else None
-        options = json.loads(given.options)
+        planner_class = attribute(args.planner)
+        read_road = attribute(args.read_road) if args.read_road else None
+        options = json.loads(args.options)
     except (ImportError, AttributeError, ValueError) as error:
         parser.error(str(error))
-    planner = made(**options)
-    serve(planner, given.address, name=given.planner, read_road=read_road)
+    planner = planner_class(**options)
+    serve(planner, args.address, name=args.planner, read_road=read_road)
 
 
 def attribute(name: str) -> Any:
-    """Return what ``package.module:attribute`` stands for."""
+    """Return the object that *name* (``package.module:attribute``) denotes."""
     module, colon, path = name.partition(":")
     if not colon:
         raise ValueError(f"{name}: expected package.module:Class")

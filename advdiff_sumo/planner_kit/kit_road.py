@@ -1,4 +1,4 @@
-"""The map as a planner in a process of its own gets it: plain values, without the libraries that read nets."""
+"""Defines the map for planners in separate processes: plain values, without the libraries that read nets."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from advdiff_sumo.core.arrays import FloatArray, read_only
 
 @dataclass(frozen=True, eq=False)
 class KitLane:
-    """One lane; attributes are named as in ``advdiff_sumo.maps.lanes.Lane``.
+    """A lane; its attributes have the names of those of ``advdiff_sumo.maps.lanes.Lane``.
 
     Attributes:
         id: SUMO's id.
         edge_id: the edge it belongs to.
-        index: number in its edge, from the kerb on.
+        index: number in its edge, counted from the kerb.
         centre_xy_m: (P, 2) centre line in driving direction.
         width_m: width.
         speed_mps: speed limit.
         length_m: length of the centre line.
         is_internal: whether it lies on a junction.
         allows: vehicle classes that may use it.
-        left_id: neighbour to the driver's left on the same edge.
-        right_id: neighbour to the right.
+        left_id: neighbour to the driver's left on the same edge; None without one.
+        right_id: neighbour to the driver's right on the same edge; None without one.
         successors: connections from its end.
     """
 
@@ -46,7 +46,7 @@ class KitLane:
 
 @dataclass(frozen=True)
 class KitLink:
-    """One connection of two lanes; attributes are named as in ``advdiff_sumo.maps.lanes.Link``."""
+    """A connection of two lanes; its attributes have the names of those of ``advdiff_sumo.maps.lanes.Link``."""
 
     from_lane: str
     to_lane: str
@@ -64,11 +64,11 @@ class KitRoad:
     """A net as plain values; its arrays are read-only.
 
     Attributes:
-        net_path: the net file on the machine that simulates.
-        lefthand: whether traffic keeps to the left.
-        lanes: by id.
-        drivable_area: polygons, each the rings (K, 2) of its outline and of its holes.
-        message: the ``Map`` message, with the right of way at each junction.
+        net_path: path of the net file on the machine that simulates.
+        lefthand: whether traffic drives on the left.
+        lanes: lane id → lane.
+        drivable_area: polygons, each with the rings (K, 2) of its outline and of its holes.
+        message: the ``Map`` message; it contains the right of way at each junction too.
     """
 
     net_path: str
@@ -78,7 +78,7 @@ class KitRoad:
     message: Any
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Say where the methods of ``RoadMap`` are, which a planner may have used in the process that simulates."""
+        """Raise an AttributeError that says how a planner can get a ``RoadMap``, whose methods this class lacks."""
         raise AttributeError(
             f"'KitRoad' has no '{name}', it holds plain values; for a RoadMap install advdiff_sumo as a whole and "
             "serve with read_road=RoadMap.read or --read-road advdiff_sumo.maps:RoadMap.read"
@@ -129,6 +129,7 @@ def _link(link: Any) -> KitLink:
 
 
 def _ring(message: Any) -> FloatArray:
+    """Return the points (K, 2) of a message with ``x_m`` and ``y_m``."""
     return read_only(
         np.stack((np.array(message.x_m, dtype=np.float64), np.array(message.y_m, dtype=np.float64)), axis=-1)
     )

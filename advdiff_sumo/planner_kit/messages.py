@@ -1,7 +1,7 @@
-"""The messages of ``planner.proto``, made when this is imported from the compiled description beside it.
+"""Creates the message classes of ``planner.proto`` at import, from its compiled description in the same folder.
 
-There is no generated code: that of one protobuf does not run under another, and planners bring their own. This works
-with every protobuf from 3.20 on. ``make proto`` compiles the description.
+Generated code is not used, since it runs only with matching versions of protobuf, and planners have their own version.
+This module works with every protobuf from 3.20 on. ``make proto`` compiles the description.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ PACKAGE = "advdiff.planner.v1"
 SERVICE = f"{PACKAGE}.Planner"
 #: Version of the protocol that this package speaks.
 VERSION = 1
-#: File beside this one: a compiled ``FileDescriptorSet``.
+#: File in the folder of this module: a compiled ``FileDescriptorSet``.
 COMPILED = "planner.binpb"
-#: Neither side bounds the size of a message: a map of a city has tens of megabytes.
+#: Both sides accept messages of any size, as the map of a city has tens of megabytes.
 CHANNEL_OPTIONS = (("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1))
 
 
@@ -51,7 +51,7 @@ PlanRequest, Plan = _message("PlanRequest"), _message("Plan")
 Trajectory, Controls = _message("Trajectory"), _message("Controls")
 Outcome, EpisodeEnded = _message("Outcome"), _message("EpisodeEnded")
 
-#: Call → the messages that go there and come back.
+#: Call → the classes of its request and its reply.
 CALLS = {
     "Describe": (DescribeRequest, Description),
     "LoadMap": (Map, MapLoaded),

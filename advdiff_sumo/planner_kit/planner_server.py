@@ -1,4 +1,4 @@
-"""Serves a Python planner, one call at a time."""
+"""Serves a Python planner over gRPC, one call at a time."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.kit_road import road_of
 from advdiff_sumo.planner_kit.wire import plan_message, scene_of
 
-#: Environment variable that holds the address which ``--target "exec:…"`` wants to be served at.
+#: Environment variable with the address at which ``--target "exec:…"`` expects the planner.
 ADDRESS_VARIABLE = "ADVDIFF_PLANNER_ADDRESS"
 DEFAULT_ADDRESS = "localhost:50051"
-#: Key of a reply's trailing metadata that holds where the planner raised.
+#: Key of the traceback of a failed call in the trailing metadata of the reply.
 TRACE_KEY = "advdiff-trace-bin"
 _KEPT_EPISODES, _KEPT_MAPS = 64, 8
-_SENTENCE, _TRACE = 500, 4000  # bytes; gRPC bounds the size of headers
+_MESSAGE_BYTES, _TRACE_BYTES = 500, 4000  # upper limits, as gRPC limits the size of headers
 
 
 @dataclass
-class _Running:
-    """An episode: its map, the planner's memory and random numbers, and the time from one plan to the next."""
+class _Episode:
+    """A running episode: its map, the planner's memory and random numbers, and the time between two plans."""
 
     road: Any
     memory: Any
@@ -41,13 +41,13 @@ class _Running:
 
 
 class _NoPlanError(Exception):
-    """What the planner returned is no plan."""
+    """The planner returned something that is not a plan."""
 
 
 class PlannerServer:
-    """Answers the calls of ``planner.proto`` with a planner of two methods, ``start`` and ``plan``.
+    """Handles the calls of ``planner.proto`` with a planner that has the methods ``start`` and ``plan``.
 
-    A method ``end(memory, end)`` is called where there is one, with the word for how the episode ended.
+    If the planner has a method ``end(memory, end)``, it is called with the word for how the episode ended.
     """
 
     def __init__(
@@ -56,10 +56,10 @@ class PlannerServer:
         self.planner, self.name, self.version, self.wants_osi = planner, name, version, wants_osi
         self._read_road = read_road
         self._roads: OrderedDict[str, Any] = OrderedDict()
-        self._episodes: OrderedDict[str, _Running] = OrderedDict()
+        self._episodes: OrderedDict[str, _Episode] = OrderedDict()
 
     def Describe(self, request: Any) -> Any:  # noqa: N802 - the call's name
-        """Say who this is."""
+        """Return the planner's name and version, and that of the protocol."""
         del request
         return messages.Description(
             protocol_version=messages.VERSION,
@@ -69,41 +69,41 @@ class PlannerServer:
         )
 
     def LoadMap(self, request: Any) -> Any:  # noqa: N802 - the call's name
-        """Keep a map."""
+        """Store a map, and remove the oldest of too many."""
         self._roads[request.map_id] = (
             self._read_road(request.net_path) if self._read_road else road_of(request)
         )
-        _forget(self._roads, _KEPT_MAPS)
+        _drop_oldest(self._roads, _KEPT_MAPS)
         return messages.MapLoaded()
 
     def StartEpisode(self, request: Any) -> Any:  # noqa: N802 - the call's name
-        """Begin an episode, or ask for its map."""
+        """Start an episode, or reply that its map is needed."""
         road = self._roads.get(request.map_id)
         if road is None:
             return messages.StartReply(need_map=True)
         self._roads.move_to_end(request.map_id)
         rng = np.random.default_rng(request.seed)
         memory = self.planner.start(road, _scene(request.scene, request.model_step_s), rng)
-        self._episodes[request.episode_id] = _Running(road, memory, rng, request.model_step_s)
-        _forget(self._episodes, _KEPT_EPISODES)
+        self._episodes[request.episode_id] = _Episode(road, memory, rng, request.model_step_s)
+        _drop_oldest(self._episodes, _KEPT_EPISODES)
         return messages.StartReply()
 
     def MakePlan(self, request: Any) -> Any:  # noqa: N802 - the call's name
-        """Plan."""
-        running = self._episodes.get(request.episode_id)
-        if running is None:
+        """Return a plan for the scene of an episode, and store the planner's memory."""
+        episode = self._episodes.get(request.episode_id)
+        if episode is None:
             raise RuntimeError("this episode was not started here; was the server restarted?")
-        scene = _scene(request.scene, running.replan_s)
-        answer = self.planner.plan(running.road, scene, running.memory, running.rng)
+        scene = _scene(request.scene, episode.replan_s)
+        result = self.planner.plan(episode.road, scene, episode.memory, episode.rng)
         if not (
-            isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], (Trajectory, Controls))
+            isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], (Trajectory, Controls))
         ):
-            first = answer[0] if isinstance(answer, tuple) and len(answer) == 2 else answer
+            first = result[0] if isinstance(result, tuple) and len(result) == 2 else result
             raise _NoPlanError(
                 f"plan() returned {type(first).__name__}, not (Trajectory or Controls, memory)"
                 f"{planned_at(self.planner)}"
             )
-        plan, running.memory = answer
+        plan, episode.memory = result
         try:
             return plan_message(plan)
         except ValueError as error:
@@ -111,21 +111,21 @@ class PlannerServer:
             raise _NoPlanError(f"{problem}{planned_at(self.planner)}") from None
 
     def EndEpisode(self, request: Any) -> Any:  # noqa: N802 - the call's name
-        """Forget an episode."""
-        running = self._episodes.pop(request.episode_id, None)
+        """End an episode and remove it."""
+        episode = self._episodes.pop(request.episode_id, None)
         end = getattr(self.planner, "end", None)
-        if running is not None and callable(end):
-            end(running.memory, request.end)
+        if episode is not None and callable(end):
+            end(episode.memory, request.end)
         return messages.EpisodeEnded()
 
     def handlers(self) -> Any:
-        """Return what gRPC calls."""
+        """Return the gRPC handlers of all calls."""
         calls = {}
-        for name, (asked, answer) in messages.CALLS.items():
+        for name, (request_class, reply_class) in messages.CALLS.items():
             calls[name] = grpc.unary_unary_rpc_method_handler(
-                _answering(getattr(self, name)),
-                request_deserializer=asked.FromString,
-                response_serializer=answer.SerializeToString,
+                _reporting_errors(getattr(self, name)),
+                request_deserializer=request_class.FromString,
+                response_serializer=reply_class.SerializeToString,
             )
         return grpc.method_handlers_generic_handler(messages.SERVICE, calls)
 
@@ -139,27 +139,29 @@ def serve(
     wants_osi: bool = False,
     read_road: Callable[[str], Any] | None = None,
 ) -> None:
-    """Serve *planner* until this process is ended.
+    """Serve *planner* until this process ends.
 
     Args:
         planner: an object with ``start(road, scene, rng)`` and ``plan(road, scene, memory, rng)``, or its class.
-        address: ``HOST:PORT`` or ``unix:PATH``; by default what ``--target "exec:…"`` asks for, else port 50051.
-        name: of the planner, for messages.
-        version: of the planner.
-        wants_osi: whether ``start`` and ``plan`` shall get an :class:`OsiScene`.
-        read_road: makes the map that the planner gets out of the net's path, such as ``RoadMap.read``; by default
-            it gets a :class:`~advdiff_sumo.planner_kit.kit_road.KitRoad`.
+        address: ``HOST:PORT`` or ``unix:PATH``; by default the one that ``--target "exec:…"`` sets, else port 50051.
+        name: name of the planner, for messages.
+        version: version of the planner.
+        wants_osi: whether ``start`` and ``plan`` receive an :class:`OsiScene`.
+        read_road: function, such as ``RoadMap.read``, that returns the planner's map for the path of the net; by
+            default the planner receives a :class:`~advdiff_sumo.planner_kit.kit_road.KitRoad`.
 
     Raises:
-        RuntimeError: the address is taken.
+        RuntimeError: the address is in use.
     """
-    served = planner() if isinstance(planner, type) else planner
-    place = address or os.environ.get(ADDRESS_VARIABLE) or DEFAULT_ADDRESS
-    answers = PlannerServer(served, name or type(served).__name__, version, wants_osi, read_road)
-    with ThreadPoolExecutor(max_workers=1) as one_at_a_time:
-        server = grpc.server(one_at_a_time, options=(*messages.CHANNEL_OPTIONS, ("grpc.so_reuseport", 0)))
-        server.add_generic_rpc_handlers((answers.handlers(),))
-        server.add_insecure_port(place)
+    planner_object = planner() if isinstance(planner, type) else planner
+    bound_address = address or os.environ.get(ADDRESS_VARIABLE) or DEFAULT_ADDRESS
+    calls = PlannerServer(
+        planner_object, name or type(planner_object).__name__, version, wants_osi, read_road
+    )
+    with ThreadPoolExecutor(max_workers=1) as executor:  # one worker: one call at a time
+        server = grpc.server(executor, options=(*messages.CHANNEL_OPTIONS, ("grpc.so_reuseport", 0)))
+        server.add_generic_rpc_handlers((calls.handlers(),))
+        server.add_insecure_port(bound_address)
         server.start()
         try:
             server.wait_for_termination()
@@ -169,10 +171,10 @@ def serve(
 
 @dataclass(frozen=True)
 class OsiScene(Scene):
-    """A scene of a planner that asked for OSI.
+    """A scene for a planner that requested OSI.
 
     Attributes:
-        osi_ground_truth: an ``osi3.GroundTruth`` of now, serialised.
+        osi_ground_truth: the serialised ``osi3.GroundTruth`` of the present instant.
     """
 
     osi_ground_truth: bytes = b""
@@ -185,40 +187,40 @@ def _scene(message: Any, replan_s: float) -> Scene:
     return OsiScene(**vars(scene), osi_ground_truth=message.osi_ground_truth)
 
 
-def _answering(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return *call* with everything that it may raise told to the caller."""
+def _reporting_errors(call: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
+    """Return a handler that performs *call* and reports any exception to the client."""
 
-    def answer(request: Any, context: Any) -> Any:
+    def handler(request: Any, context: Any) -> Any:
         try:
             return call(request)
         except SystemExit as error:
-            _leave(error)
+            _exit(error)
         except _NoPlanError as error:
-            _refuse(context, grpc.StatusCode.INVALID_ARGUMENT, str(error))
-        except BaseException as error:  # noqa: BLE001 - a planner may raise anything, and the caller is to know
+            _abort(context, grpc.StatusCode.INVALID_ARGUMENT, str(error))
+        except BaseException as error:  # noqa: BLE001 - a planner may raise anything, and the client must learn of it
             if lacks_memory(error):
-                _refuse(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
-            place = raised_at(error, None)
-            _refuse(context, grpc.StatusCode.INTERNAL, f"{described(error)}{place}")
+                _abort(context, grpc.StatusCode.RESOURCE_EXHAUSTED, f"out of memory {error}".strip())
+            _abort(context, grpc.StatusCode.INTERNAL, f"{described(error)}{raised_at(error, None)}")
 
-    return answer
+    return handler
 
 
-def _refuse(context: Any, code: Any, sentence: str) -> NoReturn:
-    trace = traceback.format_exc().encode(errors="replace")[-_TRACE:]
+def _abort(context: Any, code: Any, message: str) -> NoReturn:
+    """End the call with a status code, a message and the traceback of the present exception."""
+    trace = traceback.format_exc().encode(errors="replace")[-_TRACE_BYTES:]
     context.set_trailing_metadata(((TRACE_KEY, trace),))
-    context.abort(code, sentence.encode(errors="replace")[:_SENTENCE].decode(errors="ignore"))
+    context.abort(code, message.encode(errors="replace")[:_MESSAGE_BYTES].decode(errors="ignore"))
     raise AssertionError("abort() has raised")
 
 
-def _leave(error: SystemExit) -> NoReturn:
-    """End this process, as ``sys.exit`` would in a planner's own main thread."""
+def _exit(error: SystemExit) -> NoReturn:
+    """End this process, as ``sys.exit`` would in the main thread of a planner."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     code = error.code
     os._exit(code if isinstance(code, int) else 0 if code is None else 1)
 
 
-def _forget(kept: OrderedDict[str, Any], most: int) -> None:
-    while len(kept) > most:
-        kept.popitem(last=False)
+def _drop_oldest(items: OrderedDict[str, Any], limit: int) -> None:
+    while len(items) > limit:
+        items.popitem(last=False)

@@ -1,4 +1,4 @@
-"""Scenes and plans as messages, and back to the same bits."""
+"""Converts scenes and plans to messages and back, without changing a bit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from advdiff_sumo.planner_kit import messages
 
 
 def scene_message(scene: Scene, osi_ground_truth: bytes = b"") -> Any:
-    """Return what a planner may know of *scene*; the others' routes and who is moved are left out."""
+    """Return *scene* as a message, without what a planner must not know: the other routes and the movable agents."""
     history = scene.history
     objects = [_object(history, row) for row in range(history.agents)]
     return messages.Scene(
@@ -46,7 +46,7 @@ def _object(tracks: Tracks, row: int) -> Any:
 
 
 def scene_of(message: Any) -> Scene:
-    """Return the scene in *message*; nobody in it is movable, and of the routes only the own one is known."""
+    """Return the scene in *message*; no agent is movable, and the routes of all agents but the target are empty."""
     objects = list(message.others)
     objects.insert(message.own_index, message.own)
     yaw = np.array([o.yaw_rad for o in objects], dtype=np.float64)
@@ -75,24 +75,24 @@ def plan_message(plan: Plan) -> Any:
     """Return *plan* as a message; its values are not checked, as the simulation does that.
 
     Args:
-        plan: of a planner; lists, or what else becomes an array, will do.
+        plan: plan of a planner; its arrays may be lists or anything else that NumPy converts to arrays.
 
     Raises:
-        ValueError: its arrays do not have the shapes of a plan, or hold no numbers.
+        ValueError: the arrays do not have the shapes of a plan, or do not contain numbers.
     """
     arrays: dict[str, Any] = {name: np.asarray(getattr(plan, name)) for name in plan_arrays(plan)}
-    given = replace(plan, **arrays)
-    problem = form_problem(given, 0.0)
+    with_arrays = replace(plan, **arrays)
+    problem = form_problem(with_arrays, 0.0)
     if problem:
         raise ValueError(problem)
-    exact = in_float64(given)
-    if isinstance(exact, Controls):
-        accel, steer = exact.accel_mps2.tolist(), exact.steer_rad.tolist()
-        return messages.Plan(controls=messages.Controls(dt_s=exact.dt_s, accel_mps2=accel, steer_rad=steer))
-    x, y = exact.xy_m.T.tolist()
-    yaw, speed = exact.yaw_rad.tolist(), exact.speed_mps.tolist()
+    plan64 = in_float64(with_arrays)
+    if isinstance(plan64, Controls):
+        accel, steer = plan64.accel_mps2.tolist(), plan64.steer_rad.tolist()
+        return messages.Plan(controls=messages.Controls(dt_s=plan64.dt_s, accel_mps2=accel, steer_rad=steer))
+    x, y = plan64.xy_m.T.tolist()
+    yaw, speed = plan64.yaw_rad.tolist(), plan64.speed_mps.tolist()
     return messages.Plan(
-        trajectory=messages.Trajectory(dt_s=exact.dt_s, x_m=x, y_m=y, yaw_rad=yaw, speed_mps=speed)
+        trajectory=messages.Trajectory(dt_s=plan64.dt_s, x_m=x, y_m=y, yaw_rad=yaw, speed_mps=speed)
     )
 
 
@@ -100,22 +100,22 @@ def plan_of(message: Any) -> Plan:
     """Return the plan in *message*.
 
     Raises:
-        ValueError: there is none, or its arrays are not of one length.
+        ValueError: there is no plan, its arrays are empty or of different lengths, or its time step is not positive.
     """
     kind = message.WhichOneof("plan")
     if kind is None:
         raise ValueError("answered without a plan; fill in trajectory or controls of the message Plan")
-    body = getattr(message, kind)
+    plan = getattr(message, kind)
     names = ("accel_mps2", "steer_rad") if kind == "controls" else ("x_m", "y_m", "yaw_rad", "speed_mps")
-    arrays = [np.array(getattr(body, name), dtype=np.float64) for name in names]
+    arrays = [np.array(getattr(plan, name), dtype=np.float64) for name in names]
     lengths = [len(array) for array in arrays]
     if len(set(lengths)) > 1:
         sizes = ", ".join(f"{name} {length}" for name, length in zip(names, lengths, strict=True))
         raise ValueError(f"answered with arrays of different lengths ({sizes}); send as many of each")
-    if not lengths[0] or not body.dt_s > 0.0 or not np.isfinite(body.dt_s):
+    if not lengths[0] or not plan.dt_s > 0.0 or not np.isfinite(plan.dt_s):
         raise ValueError(
-            f"answered with a plan of {lengths[0]} steps of {body.dt_s:g} s; send at least one, and a positive dt_s"
+            f"answered with a plan of {lengths[0]} steps of {plan.dt_s:g} s; send at least one, and a positive dt_s"
         )
     if kind == "controls":
-        return Controls(arrays[0], arrays[1], body.dt_s)
-    return Trajectory(np.stack(arrays[:2], axis=-1), arrays[2], arrays[3], body.dt_s)
+        return Controls(arrays[0], arrays[1], plan.dt_s)
+    return Trajectory(np.stack(arrays[:2], axis=-1), arrays[2], arrays[3], plan.dt_s)

@@ -26,7 +26,7 @@ from advdiff_sumo.export import (
 )
 from advdiff_sumo.export.csv_export import Csv
 from advdiff_sumo.export.export_check import compare
-from advdiff_sumo.export.export_scene import MARGIN_M, number, seconds
+from advdiff_sumo.export.export_scene import MARGIN_M, decimal_text, seconds_text
 from advdiff_sumo.export.net_opendrive import plan_of
 from tests.export.drives import DT_S, straight, tracks_of
 
@@ -203,8 +203,12 @@ def test_lanes_are_those_within_the_margin(plain: ExportScene, away_m: float) ->
 def test_stretches_and_numbers() -> None:
     assert list(stretches(np.array([True, True, False, True]))) == [(0, 2), (3, 4)]
     assert list(stretches(np.zeros(3, dtype=np.bool_))) == []
-    assert (number(-0.00001), number(-1.5, 2), number(1e-9)) == ("0.0000", "-1.50", "0.0000")
-    assert (seconds(0, 0.1), seconds(3, 0.1), seconds(1, 0.025)) == ("0.0", "0.3", "0.025")
+    assert (decimal_text(-0.00001), decimal_text(-1.5, 2), decimal_text(1e-9)) == (
+        "0.0000",
+        "-1.50",
+        "0.0000",
+    )
+    assert (seconds_text(0, 0.1), seconds_text(3, 0.1), seconds_text(1, 0.025)) == ("0.0", "0.3", "0.025")
 
 
 def test_lanes_and_ways_of_the_crossing(busy: ExportScene) -> None:

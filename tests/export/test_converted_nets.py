@@ -14,7 +14,7 @@ from advdiff_sumo.data import ScenarioNetReader
 from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import EXPORTERS, ExportScene, import_scene, make_exporter
 from advdiff_sumo.export.export_check import HEADING_RAD, POSITION_M, compare
-from advdiff_sumo.export.lane_use import LaneKind, kind_of
+from advdiff_sumo.export.lane_use import LaneKind, lane_kind
 from advdiff_sumo.export.net_opendrive import plan_of
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map
@@ -75,7 +75,7 @@ def test_commonroad_reads_everybody_and_agrees_on_ttc(place: Place, commonroad: 
     found = commonroad(place.files["commonroad"][0], *TTC_STEPS)
     scene, steps = place.scene, list(TTC_STEPS)
     same_obstacles(found, scene)
-    lanes = {lane.id for lane in scene.lanes if kind_of(lane) is not LaneKind.OTHER}
+    lanes = {lane.id for lane in scene.lanes if lane_kind(lane) is not LaneKind.OTHER}
     assert found["lanelets"] == len(lanes)
     assert found["links"] == len(scene.joints(lanes)) > 0
     ours = time_to_collision(scene.tracks, scene.target)[0, steps]
@@ -103,7 +103,7 @@ def test_the_record_is_a_log_and_a_map(place: Place) -> None:
     log = ScenarioNetReader(place.folder).read(path.stem)
     assert log.tracks.ids[log.ego] == "target"
     source = read_record_map(load_plain(path), path)
-    kept = {lane.id for lane in scene.lanes if kind_of(lane) not in (LaneKind.FOOT, LaneKind.OTHER)}
+    kept = {lane.id for lane in scene.lanes if lane_kind(lane) not in (LaneKind.FOOT, LaneKind.OTHER)}
     assert len(source.lanes) == len(kept)
     assert len(source.links) == len(scene.joints(kept))
 

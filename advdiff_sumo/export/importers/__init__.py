@@ -1,4 +1,4 @@
-"""Exported scenarios back as trajectories."""
+"""Reads exported scenarios back as trajectories."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _ENDINGS = {
 
 
 def import_scene(path: str | Path) -> ImportedScene:
-    """Return the trajectories in a file that one of the built-in exporters wrote, by its ending.
+    """Return the trajectories in a file that a built-in exporter wrote; its ending shows the format.
 
     Raises:
-        FileError: the ending is none of theirs, or the file is missing, damaged or of another kind.
+        FileError: the ending is unknown, or the file is missing, damaged or of another kind.
     """
     path = Path(path)
     for ending, name in _ENDINGS.items():

@@ -1,4 +1,4 @@
-"""Puts tracks together from what a file says about each agent, and turns its faults into one sentence."""
+"""Assembles tracks from the parts read from a file, and converts errors in the file into FileErrors."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from advdiff_sumo.export.export_scene import ImportedScene
 
 AGAIN = "export the episode again"
 _FAULTS = (KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError)
-_MOST_STEPS = 10_000_000
+_MAX_STEP = 10_000_000
 
 
 @dataclass(frozen=True)
 class AgentPart:
-    """One unbroken stretch of an agent at N instants.
+    """A part of an agent's track with N instants.
 
     Attributes:
-        name: the agent; several parts may have the same.
+        name: name of the agent; several parts may have the same name.
         kind: its class.
         size_m: length and width of its box.
         step: (N,) instants.
         xy_m: (N, 2) box centres.
         yaw_rad: (N,) headings.
-        speed_mps: (N,) speeds along the heading; None where the format has none.
-        is_target: whether it is the tested vehicle.
+        speed_mps: (N,) speeds along the heading; None if the format has none.
+        is_target: whether it is the target.
     """
 
     name: str
@@ -48,7 +48,7 @@ class AgentPart:
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Turn missing and odd values in *path* into a FileError that says it is no usable *what*."""
+    """Convert errors due to missing or malformed values in *path* into a FileError; *what* names the kind of file."""
     try:
         yield
     except OSError as error:
@@ -59,7 +59,7 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def assemble(parts: Sequence[AgentPart], dt_s: float) -> ImportedScene:
-    """Return the scene of *parts* with instants *dt_s* apart; agents in the order of their first parts.
+    """Return the scene of *parts* with time step *dt_s*; agents are in the order of their first parts.
 
     Raises:
         ValueError: there is not exactly one target, or a value is not finite or out of range.
@@ -70,7 +70,7 @@ def assemble(parts: Sequence[AgentPart], dt_s: float) -> ImportedScene:
     if len(targets) != 1:
         raise ValueError(f"it has {len(targets)} targets")
     last = max(int(part.step.max()) for part in parts)
-    if min(int(part.step.min()) for part in parts) < 0 or last > _MOST_STEPS:
+    if min(int(part.step.min()) for part in parts) < 0 or last > _MAX_STEP:
         raise ValueError("an instant is out of range")
     shape = (len(ids), last + 1)
     xy, yaw, speed = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
@@ -91,10 +91,10 @@ def assemble(parts: Sequence[AgentPart], dt_s: float) -> ImportedScene:
 
 
 def spacing_s(times_s: FloatArray) -> float:
-    """Return the even spacing of the distinct *times_s*, exact to the microsecond; 0.1 for a single one.
+    """Return the time step of *times_s* (N,), the least difference, to the microsecond; 0.1 for a single time.
 
     Raises:
-        ValueError: they are not multiples of it, or not finite.
+        ValueError: the times are not multiples of it, or not finite.
     """
     distinct = np.unique(times_s)
     if not np.isfinite(distinct).all() or not len(distinct):
@@ -108,5 +108,5 @@ def spacing_s(times_s: FloatArray) -> float:
 
 
 def steps_of(times_s: FloatArray, dt_s: float) -> IntArray:
-    """Return the instants (N,) of *times_s*."""
+    """Return the steps (N,) of *times_s*."""
     return np.asarray(np.round(times_s / dt_s), dtype=np.int64)

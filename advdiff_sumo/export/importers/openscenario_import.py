@@ -1,4 +1,4 @@
-"""Reads the OpenSCENARIO files that are exported here; the standard library is enough for it."""
+"""Reads the OpenSCENARIO files that this package exports; it needs no extra."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.export.export_scene import ImportedScene
 from advdiff_sumo.export.importers.assemble import AgentPart, assemble, reading, spacing_s, steps_of
-from advdiff_sumo.export.importers.xml_file import attribute, found, read_xml
+from advdiff_sumo.export.importers.xml_file import attribute, element_at, read_xml
 
 _WHAT = "an OpenSCENARIO file"
 _KINDS = {
@@ -27,7 +27,7 @@ _KINDS = {
 
 
 def read_openscenario(path: Path) -> ImportedScene:
-    """Return the trajectories in *path*; speeds are derived from them, as polylines have none.
+    """Return the trajectories in *path*; speeds are derived from positions, as the format's polylines have none.
 
     Raises:
         FileError: it is missing or damaged, or its entities do not follow trajectories with times.
@@ -35,9 +35,9 @@ def read_openscenario(path: Path) -> ImportedScene:
     root = read_xml(path, "OpenSCENARIO", _WHAT)
     with reading(path, _WHAT):
         poses: dict[str, dict[float, tuple[float, float, float]]] = defaultdict(dict)
-        for name, time, pose in (*_beginnings(root), *_appearances(root), *_vertices(root)):
+        for name, time, pose in (*_initial_poses(root), *_added_poses(root), *_vertices(root)):
             poses[name][round(time, 6)] = pose
-        dt_s = spacing_s(np.array([time for of_one in poses.values() for time in of_one]))
+        dt_s = spacing_s(np.array([time for own_poses in poses.values() for time in own_poses]))
         objects = {attribute(row, "name"): row for row in root.iterfind("Entities/ScenarioObject")}
         return assemble([_part(row, poses[name], dt_s) for name, row in objects.items()], dt_s)
 
@@ -45,52 +45,52 @@ def read_openscenario(path: Path) -> ImportedScene:
 _Sample: TypeAlias = tuple[str, float, tuple[float, float, float]]
 
 
-def _beginnings(root: ET.Element) -> Iterator[_Sample]:
-    """Yield where entities are at the start."""
+def _initial_poses(root: ET.Element) -> Iterator[_Sample]:
+    """Yield the poses of entities that are present at the start."""
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
-        place = private.find(".//TeleportAction")
-        if place is not None:
-            yield attribute(private, "entityRef"), 0.0, _pose(place)
+        teleport = private.find(".//TeleportAction")
+        if teleport is not None:
+            yield attribute(private, "entityRef"), 0.0, _pose(teleport)
 
 
-def _appearances(root: ET.Element) -> Iterator[_Sample]:
-    """Yield where entities are added later."""
+def _added_poses(root: ET.Element) -> Iterator[_Sample]:
+    """Yield the poses at which entities are added later."""
     for event in root.iter("Event"):
-        added = event.find(".//EntityAction")
-        place = None if added is None else added.find("AddEntityAction")
-        if added is not None and place is not None:
-            time = float(attribute(found(event, ".//SimulationTimeCondition"), "value"))
-            yield attribute(added, "entityRef"), time, _pose(place)
+        action = event.find(".//EntityAction")
+        add = None if action is None else action.find("AddEntityAction")
+        if action is not None and add is not None:
+            time = float(attribute(element_at(event, ".//SimulationTimeCondition"), "value"))
+            yield attribute(action, "entityRef"), time, _pose(add)
 
 
 def _vertices(root: ET.Element) -> Iterator[_Sample]:
     """Yield the vertices of the trajectories."""
     for group in root.iter("ManeuverGroup"):
-        name = attribute(found(group, "Actors/EntityRef"), "entityRef")
+        name = attribute(element_at(group, "Actors/EntityRef"), "entityRef")
         for vertex in group.iter("Vertex"):
             yield name, float(attribute(vertex, "time")), _pose(vertex)
 
 
-def _pose(holder: ET.Element) -> tuple[float, float, float]:
-    place = found(holder, "Position/WorldPosition")
-    return float(attribute(place, "x")), float(attribute(place, "y")), float(place.get("h", "0"))
+def _pose(parent: ET.Element) -> tuple[float, float, float]:
+    position = element_at(parent, "Position/WorldPosition")
+    return float(attribute(position, "x")), float(attribute(position, "y")), float(position.get("h", "0"))
 
 
 def _part(row: ET.Element, poses: dict[float, tuple[float, float, float]], dt_s: float) -> AgentPart:
-    """Return an entity's track: poses are of its reference point, the bounding box says where its centre is."""
+    """Return the track of an entity; its *poses* are of its reference point, its bounding box states its centre."""
     values = np.array([(time, *poses[time]) for time in sorted(poses)])
     body = row[0]
-    marks = {attribute(x, "name"): attribute(x, "value") for x in body.iterfind("Properties/Property")}
-    box = found(body, "BoundingBox/Dimensions")
-    ahead = float(attribute(found(body, "BoundingBox/Center"), "x"))
-    person = body.tag == "Pedestrian"
+    properties = {attribute(x, "name"): attribute(x, "value") for x in body.iterfind("Properties/Property")}
+    box = element_at(body, "BoundingBox/Dimensions")
+    centre_ahead_m = float(attribute(element_at(body, "BoundingBox/Center"), "x"))
+    is_person = body.tag == "Pedestrian"
     return AgentPart(
-        name=marks.get("agent", attribute(row, "name")),
-        kind=AgentClass.PEDESTRIAN if person else _KINDS[attribute(body, "vehicleCategory")],
+        name=properties.get("agent", attribute(row, "name")),
+        kind=AgentClass.PEDESTRIAN if is_person else _KINDS[attribute(body, "vehicleCategory")],
         size_m=(float(attribute(box, "length")), float(attribute(box, "width"))),
         step=steps_of(values[:, 0], dt_s),
-        xy_m=values[:, 1:3] + ahead * unit(values[:, 3]),
+        xy_m=values[:, 1:3] + centre_ahead_m * unit(values[:, 3]),
         yaw_rad=values[:, 3],
         speed_mps=None,
-        is_target=marks.get("role") == "target",
+        is_target=properties.get("role") == "target",
     )

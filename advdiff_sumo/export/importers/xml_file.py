@@ -1,4 +1,4 @@
-"""Reads XML without external entities."""
+"""Reads XML files without external entities, and required elements and attributes of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.export.importers.assemble import AGAIN
 
 
 def read_xml(path: Path, tag: str, what: str) -> ET.Element:
-    """Return the root element of *path*, comments kept as elements.
+    """Return the root element of *path*, with comments as elements; *what* names the kind of file for messages.
 
     Raises:
         FileError: the file is missing or truncated, or its root is not *tag*.
@@ -31,7 +31,7 @@ def read_xml(path: Path, tag: str, what: str) -> ET.Element:
     return root
 
 
-def found(parent: ET.Element, where: str) -> ET.Element:
+def element_at(parent: ET.Element, where: str) -> ET.Element:
     """Return the first element at *where*.
 
     Raises:
@@ -61,7 +61,7 @@ def text_at(parent: ET.Element, where: str) -> str:
     Raises:
         ValueError: there is none.
     """
-    text = found(parent, where).text
+    text = element_at(parent, where).text
     if not text:
         raise ValueError(f"<{parent.tag}> has nothing at {where}")
     return text

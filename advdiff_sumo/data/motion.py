@@ -16,9 +16,7 @@ PARKED_SPEED_MPS = 1.0
 STILL_EXTENT_M, STILL_S = 0.25, 2.0
 """An agent that stays within this distance of one position for at least this time stands there."""
 _STANDING_M = 0.05  # instants this close to the median position always belong to the stand
-_MOST_INCREASE = (
-    3.0  # bound of a speed, relative to those of the adjoining intervals (monotone interpolation)
-)
+_MOST_INCREASE = 3.0  # upper bound of a speed, relative to those of the adjoining intervals
 
 
 def signed_speeds(xy_m: FloatArray, yaw_rad: FloatArray, valid: BoolArray, dt_s: float) -> FloatArray:

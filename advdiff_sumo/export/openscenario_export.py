@@ -1,7 +1,4 @@
-"""Writes ASAM OpenSCENARIO XML 1.2 with the net as OpenDRIVE.
-
-Standard: https://www.asam.net/standards/detail/openscenario-xml/.
-"""
+"""Writes ASAM OpenSCENARIO XML 1.2 with OpenDRIVE, see https://www.asam.net/standards/detail/openscenario-xml/."""
 
 from __future__ import annotations
 

@@ -93,8 +93,8 @@ class RoadMap:
     @cached_property
     def area(self) -> DrivableArea:
         """The drivable area with its spatial indices."""
-        given = self._given_area
-        area = area_of_lanes(self.lanes.values(), self.junctions) if given is None else given
+        sidecar_area = self._given_area
+        area = area_of_lanes(self.lanes.values(), self.junctions) if sidecar_area is None else sidecar_area
         return DrivableArea(area)
 
     @property

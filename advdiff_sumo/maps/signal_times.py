@@ -1,7 +1,6 @@
 """Computes yellow and all-red times of traffic lights.
 
-Source: ITE, Guidelines for Determining Traffic Signal Change and Clearance Intervals, 2020.
-
+ITE, Guidelines for Determining Traffic Signal Change and Clearance Intervals, 2020:
 Yellow ``y = t + v / (2a + 2Gg)`` with a reaction time ``t`` of 1 s, a deceleration ``a`` of 10 ft/s² and no grade
 ``G``; all-red ``r = (w + L) / v`` with a vehicle ``L`` of 20 ft. The bounds are those of the MUTCD (2009, section
 4D.26): 3 to 6 s of yellow, at most 6 s of all-red. Both are rounded up to half seconds.

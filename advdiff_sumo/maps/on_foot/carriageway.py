@@ -158,8 +158,8 @@ def _links(root: ET.Element) -> dict[tuple[str, int], ET.Element]:
     links = {}
     for junction in root.iterfind("junction"):
         if junction.get("type") != "internal":
-            own = [row for lane in junction.get("incLanes", "").split() for row in leaving[lane]]
-            links.update({(junction.get("id", ""), number): row for number, row in enumerate(own)})
+            rows = [c for lane in junction.get("incLanes", "").split() for c in leaving[lane]]
+            links.update({(junction.get("id", ""), number): c for number, c in enumerate(rows)})
     return links
 
 

@@ -18,9 +18,7 @@ from advdiff_sumo.maps.on_foot.crossing_lines import CrossingLine
 
 ASIDE_M = 1.5  # distance of a sidewalk's centre line from the carriageway
 SIDEWALK_M = 2.0  # width of a sidewalk
-CORNER_M = (
-    25.0  # crossings of a junction share a walking area if they end within this distance along the kerb
-)
+CORNER_M = 25.0  # largest distance along the kerb between crossing ends that share a walking area
 STUB_M = 60.0  # length of a sidewalk that leads to no other crossing
 SHORTEST_M = 1.0  # length of the shortest sidewalk
 CLEARANCE_M = 0.3  # gap between a crossing and the beginning of a sidewalk

@@ -56,8 +56,7 @@ def add_crossings(
 ) -> None:
     """Add green for pedestrians on *crossings* to *program*.
 
-    1. A crossing gets green in phases in which the links straight over it have red. Links that turn over it and have
-       green then yield (``g``).
+    1. A crossing gets green in phases in which the links straight over it have red. Links that turn over it yield (g).
     2. Crossings without green in any phase share a phase at the end of the program with red for all vehicles. If
        vehicles have green just before it, a yellow time for the speed *approach_mps* and all-red are inserted.
     3. Green for pedestrians ends early enough that they have crossed before vehicles get green.

@@ -157,13 +157,7 @@ class PieceTable:
 
 @dataclass(frozen=True)
 class _Search:
-    """A search tree over the centres of some pieces.
-
-    Attributes:
-        rows: rows of the pieces in the table.
-        reach_m: largest distance of a point of a piece from the piece's centre.
-        tree: tree over the centres; None without pieces.
-    """
+    """A search tree over the centres of the pieces *rows*, whose points are within *reach_m* of the centres."""
 
     rows: IntArray
     reach_m: float
@@ -274,7 +268,10 @@ class _PieceFeatures:
     lefthand: bool
 
     def lane(self, lane: Lane, link: Link | None) -> list[float]:
-        """Return the features of a piece of *lane*; signs and turns are those of *link*, None without one."""
+        """Return the features of a piece of *lane* before or on *link*; None: no signs and turns.
+
+        The turn of a piece before a junction is that of all links of the lane; 0 if they differ.
+        """
         row = [0.0] * len(Feature)
         row[Feature.WIDTH_M], row[Feature.SPEED_MPS] = lane.width_m, lane.speed_mps
         row[Feature.IS_LANE], row[Feature.IS_INTERNAL] = 1.0, float(lane.is_internal)
@@ -293,7 +290,7 @@ class _PieceFeatures:
         return self.signal_rows[link.tls_id, link.tls_index]
 
     def _turn(self, link: Link) -> float:
-        """Return 1 for a left turn, −1 for a right turn, 0 straight on; a U-turn is one to its side."""
+        """Return 1 for a left turn, −1 for a right turn, 0 straight on; a U-turn counts as a turn to its side."""
         u_turn = -1.0 if self.lefthand else 1.0
         return {"l": 1.0, "L": 1.0, "r": -1.0, "R": -1.0, "t": u_turn, "T": u_turn}.get(link.direction, 0.0)
 

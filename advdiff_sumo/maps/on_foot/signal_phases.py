@@ -59,7 +59,7 @@ def add_crossings(
     1. A crossing gets green in phases in which the links straight over it have red. Links that turn over it yield (g).
     2. Crossings without green in any phase share a phase at the end of the program with red for all vehicles. If
        vehicles have green just before it, a yellow time for the speed *approach_mps* and all-red are inserted.
-    3. Green for pedestrians ends early enough that they have crossed before vehicles get green.
+    3. After their green, pedestrians have red for as long as they need to cross before vehicles get green.
     """
     size = max(crossing.index for crossing in crossings) + 1
     phases = program.findall("phase")
@@ -80,7 +80,7 @@ def add_crossings(
 
 
 def _is_clearing(before: Sequence[str], state: Sequence[str]) -> bool:
-    """Return whether *state* only clears the junction: *before* had yellow, and no link gets another green."""
+    """Return whether *state* only clears the junction: *before* had yellow, and no link gets a new green."""
     greens = [
         {(index, light) for index, light in enumerate(lights) if light in GREEN} for lights in (before, state)
     ]

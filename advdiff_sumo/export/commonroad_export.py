@@ -74,9 +74,9 @@ def _location(root: ET.Element, scene: ExportScene) -> None:
     lon, lat = (
         _UNKNOWN_PLACE if degrees is None else (decimal_text(degrees[0], 7), decimal_text(degrees[1], 7))
     )
-    place = ET.SubElement(root, "location")
+    location = ET.SubElement(root, "location")
     for name, value in (("geoNameId", "-999"), ("gpsLatitude", lat), ("gpsLongitude", lon)):
-        ET.SubElement(place, name).text = value
+        ET.SubElement(location, name).text = value
 
 
 def _add_obstacle(

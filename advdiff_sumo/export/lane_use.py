@@ -18,7 +18,7 @@ class LaneKind(StrEnum):
 
 
 def lane_kind(lane: Lane) -> LaneKind:
-    """Return the kind of *lane*; the first of cars, buses, bicycles and pedestrians that may use it."""
+    """Return the kind of *lane* by the first class that may use it: cars, other motor vehicles (BUS), bicycles, FOOT."""
     if "passenger" in lane.allows:
         return LaneKind.CAR
     if lane.is_drivable:

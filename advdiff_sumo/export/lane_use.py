@@ -18,7 +18,7 @@ class LaneKind(StrEnum):
 
 
 def lane_kind(lane: Lane) -> LaneKind:
-    """Return the kind of *lane* by the first class that may use it: cars, other motor vehicles (BUS), bicycles, FOOT."""
+    """Return the kind of *lane* by the first class that may use it: CAR, BUS (other motor vehicles), BICYCLE, FOOT."""
     if "passenger" in lane.allows:
         return LaneKind.CAR
     if lane.is_drivable:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, goes_first
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, priority_links
 from advdiff_sumo.traffic.manoeuvres.repertoire import SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.slow_places import can_come_beside
-from advdiff_sumo.traffic.manoeuvres.staging import AHEAD_M, begins, can_hide
-from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, can_queue
+from advdiff_sumo.traffic.manoeuvres.slow_places import can_insert_slow_vehicle
+from advdiff_sumo.traffic.manoeuvres.staging import NO_LEADER_WITHIN_M, can_insert_cut_out, is_first_plan
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, can_insert_queue
 
 TURN_S = 7.0
 """For so long an episode is for one kind."""
@@ -42,7 +42,7 @@ class Agenda:
     crosses_any_time: bool = True
 
     @staticmethod
-    def drawn(rng: np.random.Generator, slow: Sequence[str] = ()) -> Agenda:
+    def draw(rng: np.random.Generator, slow: Sequence[str] = ()) -> Agenda:
         """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
 
         A cut-in comes before a hard stop: a leader that came in for one leaves no room for the other. In two of five a
@@ -61,7 +61,7 @@ class Agenda:
         return replace(self, order=self.order[1:], since_s=time_s) if self.now == kind else self
 
     @property
-    def crosses_first(self) -> bool:
+    def prioritises_crossing(self) -> bool:
         """Whether a place where the target may have to yield comes before the kind whose turn it is."""
         return bool(self.order) and self.crosses_any_time
 
@@ -70,18 +70,18 @@ class Agenda:
         """The kind whose turn it is; "" for all."""
         return self.order[0] if self.order else ""
 
-    def at(self, view: SituationView) -> Agenda:
+    def updated(self, view: SituationView) -> Agenda:
         """Return the agenda in the scene of *view*: a turn is over after ``TURN_S``, or where its kind cannot be."""
         if not self.order:
             return self
         now, order = view.scene.time_s, self.order
-        if order[0] in _LATER and self.crosses_first and comes_to_yield(view):
+        if order[0] in _LATER and self.prioritises_crossing and approaches_yield_line(view):
             first = ("crossing", *(kind for kind in order if kind != "crossing"))
             return replace(self, order=first, since_s=now)
         if now - self.since_s < TURN_S and is_possible(view, order[0]):
             return self
         if order[0] in _AT_FIRST:
-            return replace(self, order=order[1:], since_s=now).at(view)
+            return replace(self, order=order[1:], since_s=now).updated(view)
         if order[0] == "crossing" and is_possible(view, "crossing"):
             return self  # a junction takes as long as it takes to get there
         later = [(*order[k:], *order[:k]) for k in range(1, len(order))]
@@ -95,16 +95,18 @@ def is_possible(view: SituationView, kind: str) -> bool:
     if target is None or kind == "hard-stop":
         return True
     if kind in SLOW_ENTRIES:
-        return not begins(view) or can_come_beside(view, kind)
+        return not is_first_plan(view) or can_insert_slow_vehicle(view, kind)
     if kind in _AT_FIRST:
-        return not begins(view) or (can_hide(view) if kind == "cut-out" else can_queue(view))
+        return not is_first_plan(view) or (
+            can_insert_cut_out(view) if kind == "cut-out" else can_insert_queue(view)
+        )
     if kind == "cut-in":
-        beside = any(view.neighbour(view.scene.target, side) for side in ("left", "right"))
-        return beside and view.is_first(AHEAD_M)
+        beside = any(view.neighbour_way(view.scene.target, side) for side in ("left", "right"))
+        return beside and view.is_clear_to(NO_LEADER_WITHIN_M)
     return bool(_lets_pass(view, REACH_M))
 
 
-def comes_to_yield(view: SituationView) -> bool:
+def approaches_yield_line(view: SituationView) -> bool:
     """Return whether the target comes, alone, to where somebody may have the right of way, lights apart.
 
     That is the rarest of all encounters: nobody may lead the target then, who would keep it from the junction.
@@ -114,7 +116,7 @@ def comes_to_yield(view: SituationView) -> bool:
     return any(not view.is_red(link) for link in _lets_pass(view, reach_m))
 
 
-def waits_at_red(view: SituationView) -> bool:
+def has_red_ahead(view: SituationView) -> bool:
     """Return whether the next junction shows the target a red light: only one that runs it meets anybody there."""
     target = view.target
     ahead = target.way.links if target is not None else ()
@@ -126,5 +128,7 @@ def _lets_pass(view: SituationView, reach_m: float) -> Sequence[Link]:
     target = view.target
     if target is None or target.speed_mps <= SLOWEST_TARGET_MPS:
         return ()
-    ahead = (link for reach, link in target.way.links if 0.0 < reach < reach_m and view.arrives_alone(reach))
-    return [link for link in ahead if goes_first(view, link)]
+    ahead = (
+        link for reach, link in target.way.links if 0.0 < reach < reach_m and view.is_clear_on_arrival(reach)
+    )
+    return [link for link in ahead if priority_links(view, link)]

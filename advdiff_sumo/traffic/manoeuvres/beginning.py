@@ -6,27 +6,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, waits_at_red
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, has_red_ahead
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
-from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, PATIENT_S, SUPPORTS, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, PATIENCE_S, SUPPORT_KINDS, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
-from advdiff_sumo.traffic.manoeuvres.graded import braking_with, graded
-from advdiff_sumo.traffic.manoeuvres.hidden_stop import stops_in_company
+from advdiff_sumo.traffic.manoeuvres.graded import with_braking, with_severity
+from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
-from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_due, perceived_s
+from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
+from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, may_wait
+from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, can_begin_later
 
-_PATIENCE = ((PATIENT_S, 0.4),)
+_PATIENCE = ((PATIENCE_S, 0.4),)
 """Until when (s) an episode waits for a better moment than one of so little merit."""
 _LEADER_PATIENCE = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
 """The same for a leader that lets the target close up, and which no red light stops soon."""
 _NOW_S = 0.5
-_PROPOSED = {**PROPOSALS, DOUBLE: stops_in_company}
+_PROPOSED = {**PROPOSALS, DOUBLE: hard_stop_in_company}
 _TRIED = 4
 """Manoeuvres that are checked in full, best first."""
 
@@ -37,24 +37,26 @@ def begin(
     """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
-    busy |= {r for r in view.movable if kept.standing.holds(names[r])}
+    busy |= {r for r in view.movable if kept.standing.is_passive(names[r])}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    wanted = kept.wanted(view)
+    wanted = kept.startable_kinds(view)
     possible = [m for row in free for kind in wanted for m in _PROPOSED[kind](view, row)]
-    possible = list(from_ahead(view, possible, kept.stage.only_oncoming))
+    possible = list(filter_oncoming(view, possible, kept.stage.only_oncoming))
     possible = [m for m in possible if not (m.sets_up and names[m.row] in kept.standing.names)]
-    proposals = [m for m in graded(view, possible, kept.intensity) if is_due(view, m, kept.since_s)]
+    proposals = [
+        m for m in with_severity(view, possible, kept.intensity) if is_seen_long_enough(view, m, kept.since_s)
+    ]
     out: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
-    patience = _LEADER_PATIENCE if kept.agenda.order and not waits_at_red(view) else _PATIENCE
-    least = {kind: _least(patience if kind in KEEP_OFF else _PATIENCE, now) for kind in kept.weights}
+    patience = _LEADER_PATIENCE if kept.agenda.order and not has_red_ahead(view) else _PATIENCE
+    least = {kind: _least(patience if kind in LEADER_KINDS else _PATIENCE, now) for kind in kept.weights}
     worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least[one.manoeuvre.kind]]
-    ready = [one for one in worthy if not may_wait(view, one.manoeuvre, one.needed_mps2, licence)]
+    ready = [one for one in worthy if not can_begin_later(view, one.manoeuvre, one.needed_mps2, licence)]
     for chosen in ready[:_TRIED]:
         others = (*going, *(one.manoeuvre for one in out))
         fits = all(_go_together(chosen.manoeuvre, other) for other in others)
         if len(out) < room and fits and _spares_follower(view, chosen) and _passes(view, chosen, licence):
-            driven = braking_with(chosen.manoeuvre, kept.intensity.braking_mps2)
+            driven = with_braking(chosen.manoeuvre, kept.intensity.braking_mps2)
             out.append(replace(chosen, manoeuvre=driven))
     return out
 
@@ -68,7 +70,7 @@ def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
     """Return whether both can be driven: two that cross would meet each other, and a leader would stop the target."""
     if one.row == other.row or one.kind == other.kind == "crossing":
         return False
-    return "crossing" not in (one.kind, other.kind) or not {one.kind, other.kind} & KEEP_OFF
+    return "crossing" not in (one.kind, other.kind) or not {one.kind, other.kind} & LEADER_KINDS
 
 
 def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
@@ -76,10 +78,10 @@ def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
     behind = view.follower
     if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.sets_up:
         return True
-    return braking_behind(view, behind, perceived_s(view, chosen.manoeuvre)) is not None
+    return braking_behind(view, behind, response_time_s(view, chosen.manoeuvre)) is not None
 
 
-def behind_target(
+def follower_braking(
     view: SituationView, driven: Sequence[Manoeuvre], fresh: Sequence[Manoeuvre], licence: Licence | None
 ) -> list[Manoeuvre]:
     """Return what who follows the target drives where it has to answer now, if it may be moved and does not yet.
@@ -90,7 +92,7 @@ def behind_target(
     if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
     attacks = [m for m in driven if not m.sets_up and (m in fresh or m.kind == "crossing")]
-    times_s = [(m.kind, perceived_s(view, m)) for m in attacks if m.kind not in SUPPORTS]
+    times_s = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in SUPPORT_KINDS]
     soon_s = [time_s for kind, time_s in times_s if kind != "crossing" or time_s < _NOW_S]
     brakes = braking_behind(view, row, min(soon_s)) if soon_s else None
     return [brakes] if brakes is not None and still_lawful(view, brakes, licence) else []

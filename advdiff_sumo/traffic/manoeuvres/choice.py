@@ -12,30 +12,30 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import (
     TargetWay,
     contact_share,
-    seen_not_to_stop_s,
+    notices_no_stop_s,
     trapped_share,
 )
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.graded import closeness
-from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.graded import severity_match
+from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     DOUBLE,
-    MOST_DEMANDED_MPS2,
+    MAX_DEMAND_MPS2,
     SLOW_ENTRIES,
     crossing_links,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
-HARD_WORTH: Mapping[float, float] = {3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
+HARD_BRAKING_MERIT: Mapping[float, float] = {3.0: 0.4, 4.0: 0.7, 5.0: 0.9, 6.0: 1.0, 7.0: 0.8}
 """Worth of an encounter by the braking that it needs; none where it needs little or more than a driver has."""
-SEEN_WORTH: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0: 0.5, 6.0: 0.3}
+YIELDING_MERIT: Mapping[float, float] = {1.0: 0.6, 2.0: 0.8, 3.0: 0.8, 4.0: 0.7, 5.0: 0.5, 6.0: 0.3}
 """Worth where what counts is whether the target sees the other and gives way at all."""
-CUT_IN_WORTH: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
+CUT_IN_MERIT: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6.0: 1.0, 7.0: 0.7}
 """Worth where both count."""
-SLOW_ENTRY_WORTH: Mapping[float, float] = {1.0: 0.3, 2.0: 0.6, 3.0: 0.8, 4.0: 1.0, 5.0: 0.8}
+SLOW_ENTRY_MERIT: Mapping[float, float] = {1.0: 0.3, 2.0: 0.6, 3.0: 0.8, 4.0: 1.0, 5.0: 0.8}
 """Worth where somebody enters slowly, whom the target sees before; none beyond ``MOST_DEMANDED_MPS2``."""
 _LEAST_SEEN_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
 _GENTLE_SHARE = 0.5
@@ -43,7 +43,7 @@ _GENTLE_SHARE = 0.5
 _TRAPPED, _WAITS, _UNNOTICED_S = 0.8, 0.3, 1.0
 _UNCERTAIN = 0.2
 """Share of its worth that somebody keeps who would meet the target at the very instant alone."""
-SETTING_UP, _ASKS_MPS2 = 0.05, {"hard-stop": 2.0, DOUBLE: 2.0}
+POSITIONING_MERIT, _ASKS_MPS2 = 0.05, {"hard-stop": 2.0, DOUBLE: 2.0}
 """Worth of getting into position, and what it may ask of the target: 1 m/s², or as a leader that it closes up to."""
 
 
@@ -71,7 +71,7 @@ def rank(
     proposals: Sequence[Manoeuvre],
     weights: Mapping[str, float],
     licence: Licence | None = LAWFUL,
-    intensity: Intensity = AS_SERVES,
+    intensity: Intensity = ANY_SEVERITY,
     begun: bool = False,
     preference: EncounterPreference | None = None,
 ) -> list[Chosen]:
@@ -95,11 +95,11 @@ def rank(
     worth = merit * np.array([weights.get(m.kind, 0.0) for m in proposals])
     features: Sequence[tuple[float, ...]] = [()] * len(proposals)
     if preference is not None:
-        features, factors = preference.rated(view, proposals, needed)
+        features, factors = preference.rate(view, proposals, needed)
         worth = worth * factors
     useful = np.flatnonzero(worth > 0.0)
     kept = useful[
-        lawful(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence, begun)
+        lawful_mask(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence, begun)
     ]
     order = kept[np.argsort(-worth[kept], kind="stable")].tolist()
     return [
@@ -136,7 +136,7 @@ def _merits(
         else:
             merit[timed] *= np.where(at_red < _TRAPPED * _WAITS, _UNCERTAIN, 1.0)  # it is seen to come
     for k, manoeuvre in enumerate(proposals):
-        near = closeness(view, manoeuvre, futures.driven_m[k], intensity)
+        near = severity_match(view, manoeuvre, futures.driven_m[k], intensity)
         merit[k] = merit[k] if near is None else near
     return merit
 
@@ -165,7 +165,7 @@ def _merit_at_red(
         if links is not None and view.is_red(links[1]):
             reach = next(reach for reach, link in manoeuvre.way.links if link is links[0])
             to_line_m = reach - 0.5 * float(size_m[k, 0])
-            notices_s[k] = seen_not_to_stop_s(
+            notices_s[k] = notices_no_stop_s(
                 to_line_m, view.speed(manoeuvre.row), futures.driven_m[k], futures.speed_mps[k]
             )
     trapped = trapped_share(target, futures.xy_m, futures.yaw_rad, size_m, notices_s)
@@ -176,19 +176,19 @@ def _merit_at_red(
 
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     if manoeuvre.sets_up:
-        return SETTING_UP if needed_mps2 <= _ASKS_MPS2.get(manoeuvre.kind, 1.0) else 0.0
+        return POSITIONING_MERIT if needed_mps2 <= _ASKS_MPS2.get(manoeuvre.kind, 1.0) else 0.0
     if manoeuvre.kind == "cut-in":
-        return CUT_IN_WORTH.get(needed_mps2, 0.0)
+        return CUT_IN_MERIT.get(needed_mps2, 0.0)
     if manoeuvre.kind in SLOW_ENTRIES:
-        most = MOST_DEMANDED_MPS2[manoeuvre.kind]
-        return SLOW_ENTRY_WORTH.get(needed_mps2, 0.0) if needed_mps2 <= most else 0.0
+        most = MAX_DEMAND_MPS2[manoeuvre.kind]
+        return SLOW_ENTRY_MERIT.get(needed_mps2, 0.0) if needed_mps2 <= most else 0.0
     if manoeuvre.kind == "crossing" and begun:
         return float(needed_mps2 > 0.0)
     least = _LEAST_SEEN_MPS2.get(manoeuvre.kind)
     if least is None:
-        return HARD_WORTH.get(needed_mps2, 0.0)
+        return HARD_BRAKING_MERIT.get(needed_mps2, 0.0)
     share = _GENTLE_SHARE if manoeuvre.kind == "blocked-lane" else 1.0
-    return share * SEEN_WORTH.get(needed_mps2, 0.0) if needed_mps2 >= least else 0.0
+    return share * YIELDING_MERIT.get(needed_mps2, 0.0) if needed_mps2 >= least else 0.0
 
 
 def _rows(futures: ManoeuvreFutures, rows: FloatArray | np.ndarray) -> ManoeuvreFutures:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from advdiff_sumo.core.scene import AgentClass
-from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, comes_to_yield, waits_at_red
+from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, approaches_yield_line, has_red_ahead
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
-from advdiff_sumo.traffic.manoeuvres.intensity import AS_SERVES, Intensity
+from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS, SLOW_ENTRIES
@@ -20,15 +20,15 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic
 
-OF_ANY = tuple(KINDS)
+ANY_KINDS = tuple(KINDS)
 """Kinds that an episode of "any" is made of; with ``SLOW_ENTRIES`` here those get turns, too."""
-SUPPORTS = (FOLLOWS, WAITS)
+SUPPORT_KINDS = (FOLLOWS, WAITS)
 """Kinds that attack nobody."""
-KEEP_OFF = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
+LEADER_KINDS = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
 """Kinds of a leader, who keeps the target from where others would cross it."""
 _FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
 """Classes of the first five who come in, and of every five after them."""
-PATIENT_S = 2.0 * TURN_S
+PATIENCE_S = 2.0 * TURN_S
 """Until when an episode waits for the kind whose turn it is."""
 
 
@@ -80,14 +80,14 @@ class Commitments:
     rested_s: Mapping[str, float] = field(default_factory=dict)
     stage: StagingMemory = field(default_factory=StagingMemory)
     agenda: Agenda = field(default_factory=Agenda)
-    intensity: Intensity = AS_SERVES
+    intensity: Intensity = ANY_SEVERITY
     since_s: Mapping[str, float] = field(default_factory=dict)
     blocked_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
     standing: StandingTraffic = field(default_factory=StandingTraffic)
     company: tuple[str, ...] = ()
 
-    def wanted(self, view: SituationView) -> tuple[str, ...]:
+    def startable_kinds(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
 
         Nobody crosses before a red light out of turn, nor leads a target to where it has to yield.
@@ -97,12 +97,16 @@ class Commitments:
             return ()
         if not turn:
             return tuple(kind for kind in self.weights if kind != QUEUE)
-        kinds = self.staged(view) if view.scene.time_s < PATIENT_S else tuple(self.weights)
-        off = KEEP_OFF if self.agenda.crosses_first and comes_to_yield(view) else frozenset[str]()
-        red = {"crossing"} if turn != "crossing" and waits_at_red(view) else set[str]()
+        kinds = self.insertable_kinds(view) if view.scene.time_s < PATIENCE_S else tuple(self.weights)
+        off = (
+            LEADER_KINDS
+            if self.agenda.prioritises_crossing and approaches_yield_line(view)
+            else frozenset[str]()
+        )
+        red = {"crossing"} if turn != "crossing" and has_red_ahead(view) else set[str]()
         return tuple(kind for kind in self.weights if kind in kinds and kind not in off | red)
 
-    def staged(self, view: SituationView) -> tuple[str, ...]:
+    def insertable_kinds(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds for which vehicles come in now.
 
         That is the kind whose turn it is and crossing, which waits for no turn unless it promises too little.
@@ -112,7 +116,7 @@ class Commitments:
             return ()
         if not turn:
             return tuple(self.weights)
-        crosses = self.agenda.crosses_any_time and not waits_at_red(view)
+        crosses = self.agenda.crosses_any_time and not has_red_ahead(view)
         return tuple({turn: 0} | ({"crossing": 0} if crosses else {}))
 
     @property
@@ -121,7 +125,7 @@ class Commitments:
         driving = (
             name
             for name, under_way in self.active.items()
-            if not under_way.sets_up and under_way.kind not in SUPPORTS
+            if not under_way.sets_up and under_way.kind not in SUPPORT_KINDS
         )
         return (*driving, *(self.standing.names if self.standing.is_queue else ()))
 
@@ -144,7 +148,7 @@ class Commitments:
         attack: str,
         rng: np.random.Generator,
         staged: int = 0,
-        intensity: Intensity = AS_SERVES,
+        intensity: Intensity = ANY_SEVERITY,
         preference: EncounterPreference | None = None,
     ) -> Commitments:
         """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ.
@@ -157,21 +161,21 @@ class Commitments:
             preference: of encounters, which turns and newcomers follow too where *attack* is "any".
         """
         asked = "crossing" if attack == ONCOMING else attack
-        slow = () if preference is not None else tuple(kind for kind in SLOW_ENTRIES if kind in OF_ANY)
-        kinds = [kind for kind in OF_ANY if kind in (*KINDS, *slow)] if asked == "any" else [asked]
+        slow = () if preference is not None else tuple(kind for kind in SLOW_ENTRIES if kind in ANY_KINDS)
+        kinds = [kind for kind in ANY_KINDS if kind in (*KINDS, *slow)] if asked == "any" else [asked]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = _newcomers(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
         stage = StagingMemory(
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
-        agenda = Agenda.drawn(rng, slow) if attack == "any" else Agenda()
+        agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
         if preference is not None and attack in (QUEUE, DOUBLE, *SLOW_ENTRIES):
             preference = None  # nothing is predicted of it
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(asked,))
         elif preference is not None:
-            wanted, preference = preference.drawn(
+            wanted, preference = preference.draw(
                 rng, {one: _FIVE.count(one) / len(_FIVE) for one in _FIVE}, len(classes)
             )
             if wanted is not None:

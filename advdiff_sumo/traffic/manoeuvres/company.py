@@ -14,7 +14,7 @@ from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, SAME_WAY, STOPS_FROM_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 ACCOMPANIES = "accompanies"
 """What somebody does who keeps its place beside or behind the target."""
-COMPANY = 3
+COMPANY_SIZE = 3
 """So many are nearer to the target than its leader."""
 _LENGTH_M = 4.6
 _FRONT_SHARE, _LEVEL_SHARE = 0.4, -0.1
@@ -38,12 +38,12 @@ _BRAKES_MPS2, _DRIFTS_MPS = 2.5, 0.5
 _GAINS_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
 
 
-def spacing_m(speed_mps: float) -> float:
+def car_spacing_m(speed_mps: float) -> float:
     """Return how far apart the centres of two cars are that keep the lawful gap at *speed_mps*."""
     return LAWFUL.gap_share * safe_gap_m(speed_mps, speed_mps) + LAWFUL.spare_m + _LENGTH_M
 
 
-def places(view: SituationView) -> dict[str, tuple[float, ...]]:
+def company_places(view: SituationView) -> dict[str, tuple[float, ...]]:
     """Return side → metres ahead of the target at which those are to drive that accompany it; "" is its own lane.
 
     With a lane on either side nobody need follow; with none at all there is no company.
@@ -51,7 +51,7 @@ def places(view: SituationView) -> dict[str, tuple[float, ...]]:
     target = view.target
     if target is None:
         return {}
-    apart = spacing_m(target.speed_mps)
+    apart = car_spacing_m(target.speed_mps)
     front = _FRONT_SHARE * apart, (_FRONT_SHARE - 1.0) * apart
     sides = [side for side in ("left", "right") if _is_beside(view, target, side)]
     if len(sides) == 2:
@@ -65,8 +65,8 @@ def _is_beside(view: SituationView, target: TargetWay, side: str) -> bool:
     A lane of a junction has none beside it: there it is whether somebody drives there.
     """
     if target.way.present_lane.is_internal:
-        return bool(accompanies(view, side))
-    way = view.neighbour(view.scene.target, side)
+        return bool(company_rows(view, side))
+    way = view.neighbour_way(view.scene.target, side)
     return way is not None and way.lane.end_m == np.inf and not _joins(target, way)
 
 
@@ -75,7 +75,7 @@ def _joins(target: TargetWay, way: Way) -> bool:
     return not {lane.id for lane in target.way.lane.lanes}.isdisjoint(lane.id for lane in way.lane.lanes)
 
 
-def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
+def insertion_places(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
     """Yield (side, metres ahead of the target) for where those come in that it lacks, *least_m* away at least.
 
     Who is to drive behind it on a lane beside comes in ahead and falls back, unless it may drive faster.
@@ -83,23 +83,23 @@ def entrances(view: SituationView, least_m: float) -> Iterator[tuple[str, float]
     target, row = view.target, view.scene.target
     if target is None:
         return
-    for side, ahead_m in places(view).items():
-        way = view.neighbour(row, side) if side else target.way
-        fastest = float(target.goes_on_mps.max()) + _GAINS_MPS
+    for side, ahead_m in company_places(view).items():
+        way = view.neighbour_way(row, side) if side else target.way
+        fastest = float(target.free_speed_mps.max()) + _GAINS_MPS
         gains = not side or (way is not None and way.lane.speed_mps >= fastest)
         next_m = least_m
-        for at in reversed(ahead_m[len(accompanies(view, side)) :]):
+        for at in reversed(ahead_m[len(company_rows(view, side)) :]):
             if at < 0.0 and (gains or at <= -least_m):
                 yield side, min(at, -least_m)
             else:
                 yield side, max(at, next_m)
-                next_m = max(at, next_m) + spacing_m(target.speed_mps)
+                next_m = max(at, next_m) + car_spacing_m(target.speed_mps)
 
 
-def accompanying(
+def company_manoeuvres(
     view: SituationView, busy: Container[int], licence: Licence | None = LAWFUL
 ) -> list[Manoeuvre]:
-    """Return how those near, except the *busy* ones, get to their ``places`` or keep them.
+    """Return how those near, except the *busy* ones, get to their ``company_places`` or keep them.
 
     Once the target brakes, or changes lanes, they are their own drivers again.
     """
@@ -108,15 +108,15 @@ def accompanying(
     if target_brakes(view, _BRAKES_MPS2) or abs(view.target.way.drift_mps) > _DRIFTS_MPS:
         return []
     out = []
-    for side, ahead_m in places(view).items():
-        near = [row for row in accompanies(view, side) if row not in busy]
+    for side, ahead_m in company_places(view).items():
+        near = [row for row in company_rows(view, side) if row not in busy]
         out += [_keeping(view, view.target, row, at) for row, at in _assigned(view, near, ahead_m)]
     futures = futures_of_manoeuvres(out, np.array([view.speed(m.row) for m in out]))
-    keeps = lawful(view, out, futures, licence) if out else ()
+    keeps = lawful_mask(view, out, futures, licence) if out else ()
     return [m for m, keep in zip(out, keeps, strict=True) if keep]
 
 
-def accompanies(view: SituationView, side: str) -> Sequence[int]:
+def company_rows(view: SituationView, side: str) -> Sequence[int]:
     """Return the rows of those on the lane to the target's *side*, or behind it for "", that may be moved.
 
     Whoever drives on the target's way, aside of its heading in a bend, or leads into it is left out.
@@ -164,7 +164,7 @@ def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -
     way, drives = view.ways[row], view.speed(row)
     limit = way.lane.speed_mps
     lowest = max(_SLOWEST_SHARE * target.speed_mps, target.speed_mps - _SLOWER_MPS)
-    then = target.speed_mps + _SETTLES_S * view.gains_mps2(view.scene.target)
+    then = target.speed_mps + _SETTLES_S * view.speed_gain_mps2(view.scene.target)
     lacks = ahead_m - _place(view, row)[0]
     aims = float(np.clip(then + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
     accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GENTLY_MPS2))
@@ -176,7 +176,7 @@ def is_settled(view: SituationView) -> bool:
     speed = view.speed(view.scene.target)
     near = (
         (row, _place(view, row)[0])
-        for side, ahead_m in places(view).items()
-        for row in accompanies(view, side)[: len(ahead_m)]
+        for side, ahead_m in company_places(view).items()
+        for row in company_rows(view, side)[: len(ahead_m)]
     )
     return all(abs(view.speed(row) - speed) <= _SETTLED_MPS for row, at in near if abs(at) < _JOINS_M)

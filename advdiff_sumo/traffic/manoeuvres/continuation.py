@@ -13,14 +13,14 @@ from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.choice import rank
-from advdiff_sumo.traffic.manoeuvres.commitments import KEEP_OFF, SUPPORTS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, SUPPORT_KINDS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
-from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, follows_still
+from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, still_follows
 from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.oncoming import from_ahead
+from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AS_GOOD_AS_STANDS_MPS,
     DOUBLE,
@@ -29,7 +29,7 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     PULL_OUT,
     SLOW_ENTRIES,
     SLOW_MERGE,
-    crossing_on,
+    continued_crossings,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_body
@@ -47,7 +47,7 @@ _LONGEST_DEFAULT_S = 7.0
 _OVER_LINE_M, _IN_WAY_M, _OFF_MIDDLE_M = 0.2, 1.2, 0.2
 
 
-def carry_on(
+def continue_manoeuvres(
     view: SituationView, kept: Commitments, pause_s: float, licence: Licence | None
 ) -> tuple[list[Manoeuvre], Commitments]:
     """Return the manoeuvres under way that go on within the licence, and the memory without the others."""
@@ -63,7 +63,7 @@ def carry_on(
             continue
         del active[name]
         rested[name] = now + (0.0 if under_way.sets_up or under_way.kind == FOLLOWS else pause_s)
-    if all(m.kind in SUPPORTS for m in going):  # nobody attacks: who follows is its own driver again
+    if all(m.kind in SUPPORT_KINDS for m in going):  # nobody attacks: who follows is its own driver again
         going = [m for m in going if m.kind != FOLLOWS]
         active = {name: under_way for name, under_way in active.items() if under_way.kind != FOLLOWS}
     return going, replace(kept, active=active, rested_s=rested)
@@ -84,14 +84,14 @@ def _continued(
         return None
     if under_way.kind in ENDS_STANDING and _target_stands(view) and view.speed(row) < AS_GOOD_AS_STANDS_MPS:
         return None  # both stand: the question is answered
-    if under_way.kind in KEEP_OFF and not _is_ahead(view, row):
+    if under_way.kind in LEADER_KINDS and not _is_ahead(view, row):
         return None  # the target has left its lane, or is past it
     if under_way.kind == "crossing":
         if _is_before(view, row):
             return None  # who has come out ahead of it is a leader
-        timed = list(from_ahead(view, crossing_on(view, row), kept.stage.only_oncoming))
+        timed = list(filter_oncoming(view, continued_crossings(view, row), kept.stage.only_oncoming))
         again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
-        holds = intensity.is_asked_of("crossing") and target_brakes(view)
+        holds = intensity.is_prescribed_for("crossing") and target_brakes(view)
         if again and not holds and not (again[0].needed_mps2 == 0.0 and _target_stands(view)):
             return again[0].manoeuvre
         if _target_stands(view):
@@ -107,7 +107,7 @@ def _continued(
     manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s, body=body)
     if under_way.kind == "cut-in" and licence is not None:
         return _cutting_in(view, manoeuvre, intensity)
-    return manoeuvre if under_way.kind != FOLLOWS or follows_still(view, manoeuvre) else None
+    return manoeuvre if under_way.kind != FOLLOWS or still_follows(view, manoeuvre) else None
 
 
 def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity) -> Manoeuvre | None:
@@ -117,7 +117,7 @@ def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity)
     if goal is None or (over and manoeuvre.profile.switch_s == 0.0):
         return manoeuvre
     later = manoeuvre if over else _slowing_once_over(view, manoeuvre, goal)
-    return later if intensity.is_asked_of("cut-in") or _is_answerable(view, later) else None
+    return later if intensity.is_prescribed_for("cut-in") or _is_answerable(view, later) else None
 
 
 def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> Manoeuvre:
@@ -142,7 +142,7 @@ def _is_before(view: SituationView, row: int) -> bool:
     target = view.target
     if target is None:
         return False
-    ahead, left = view.place_on(view.ways[row], view.scene.target)
+    ahead, left = view.position_on(view.ways[row], view.scene.target)
     yaw = view.scene.history.yaw_rad[:, -1]
     same_way = abs(float(wrap_angle(float(yaw[row] - yaw[view.scene.target])))) < SAME_WAY_RAD
     return same_way and ahead > 0.0 and abs(left) < _IN_WAY_M
@@ -166,7 +166,7 @@ def _goal(view: SituationView, row: int, under_way: Commitment) -> Way | None:
     if under_way.kind in SLOW_ENTRIES and view.ways[row].present_lane.id == under_way.goal_lane:
         return view.ways[row] if abs(view.ways[row].lane.offset_m) > _OFF_MIDDLE_M else None
     if under_way.kind in ("cut-out", *SLOW_ENTRIES):
-        sides = (view.neighbour(row, side) for side in ("left", "right"))
+        sides = (view.neighbour_way(row, side) for side in ("left", "right"))
         return next((way for way in sides if way and way.present_lane.id == under_way.goal_lane), None)
     if under_way.kind != "cut-in":
         return None
@@ -182,7 +182,7 @@ def still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | N
     goal = manoeuvre.goal
     if goal is not None and _is_over_line(view, manoeuvre, goal):
         manoeuvre = replace(manoeuvre, goal=None)
-    return bool(lawful(view, [manoeuvre], futures, licence, begun=True)[0])
+    return bool(lawful_mask(view, [manoeuvre], futures, licence, begun=True)[0])
 
 
 def _is_over_line(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> bool:

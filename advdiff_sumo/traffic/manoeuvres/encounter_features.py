@@ -52,7 +52,7 @@ def encounter_features(
     return out
 
 
-def as_if(features: FloatArray, agent_class: AgentClass, oncoming: bool | None = None) -> FloatArray:
+def with_vehicle(features: FloatArray, agent_class: AgentClass, oncoming: bool | None = None) -> FloatArray:
     """Return *features* (…, D) as they would be with another *agent_class*, and from ahead or the side if said so."""
     out = features.copy()
     out[..., FEATURES.index("heavy")] = agent_class in HEAVY_CLASSES
@@ -65,7 +65,7 @@ def as_if(features: FloatArray, agent_class: AgentClass, oncoming: bool | None =
 
 def _circumstances(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float) -> tuple[float, ...]:
     now, target = view.scene.history, view.scene.target
-    row = manoeuvre.row if manoeuvre.reveals is None else manoeuvre.reveals
+    row = manoeuvre.row if manoeuvre.revealed_row is None else manoeuvre.revealed_row
     turned = float(np.cos(wrap_angle(float(now.yaw_rad[row, -1] - now.yaw_rad[target, -1]))))
     offset = now.xy_m[row, -1] - now.xy_m[target, -1]
     bearing = np.arctan2(offset[1], offset[0]) - now.yaw_rad[target, -1]

@@ -17,12 +17,12 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.models.failure_predictor import FailurePredictor, load_failures
 from advdiff_sumo.traffic.manoeuvres.agenda import TURNING_KINDS, Agenda
-from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES, as_if, encounter_features
+from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES, encounter_features, with_vehicle
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
-EXPLORES = 0.15
+EXPLORATION_SHARE = 0.15
 """Share of the episodes that draw as if nothing were known."""
 _TURNS = 4
 _GREED = 3.0
@@ -48,7 +48,7 @@ class EncounterPreference:
     """
 
     predictor: FailurePredictor
-    explores: float = EXPLORES
+    explores: float = EXPLORATION_SHARE
     probe: int | None = None
     kinds: tuple[str, ...] = tuple(KINDS)
 
@@ -61,7 +61,7 @@ class EncounterPreference:
         """
         return EncounterPreference(load_failures(path, len(FEATURES)))
 
-    def rated(
+    def rate(
         self, view: SituationView, proposals: Sequence[Manoeuvre], needed_mps2: FloatArray
     ) -> tuple[list[tuple[float, ...]], FloatArray]:
         """Return features of *proposals* and (C,) what each is worth by the failures that are predicted of it.
@@ -84,16 +84,19 @@ class EncounterPreference:
     def _most(self) -> float:
         """The failures predicted of the best encounter of ``kinds``."""
         return max(
-            self.promise(kind, one, side) for kind in self.kinds for one in _CLASSES for side in (False, True)
+            self.predicted_failures(kind, one, side)
+            for kind in self.kinds
+            for one in _CLASSES
+            for side in (False, True)
         )
 
-    def promise(self, kind: str, agent_class: AgentClass, oncoming: bool) -> float:
+    def predicted_failures(self, kind: str, agent_class: AgentClass, oncoming: bool) -> float:
         """Return the failures predicted of the mean encounter of *kind* with such a vehicle."""
         typical = self.predictor.typical[tuple(KINDS).index(kind)]
-        features = as_if(typical, agent_class, oncoming if kind == "crossing" else None)
+        features = with_vehicle(typical, agent_class, oncoming if kind == "crossing" else None)
         return float(self.predictor.probability(features[None])[0])
 
-    def drawn(
+    def draw(
         self, rng: np.random.Generator, shares: Mapping[AgentClass, float], count: int
     ) -> tuple[Wanted | None, EncounterPreference]:
         """Return what an episode goes for, and what it prefers; where it explores, None and nothing.
@@ -133,7 +136,7 @@ class EncounterPreference:
     def _table(self, shares: Mapping[AgentClass, float]) -> FloatArray:
         """Return (K, C, 2) how often each of ``TURNING_KINDS`` is drawn with each class, from side and ahead."""
         promised = [
-            [[self.promise(kind, one, oncoming) for oncoming in (False, True)] for one in shares]
+            [[self.predicted_failures(kind, one, oncoming) for oncoming in (False, True)] for one in shares]
             for kind in TURNING_KINDS
         ]
         return np.asarray(np.array(promised) ** _GREED * np.array([*shares.values()])[:, None] / 2.0)
@@ -167,4 +170,4 @@ def probed_class(probe: int) -> AgentClass:
 def answers(probe: int, features: FloatArray) -> bool:
     """Return whether one of the encounters with *features* (N, D) was of the kind and class of vehicle asked for."""
     kind = features[:, FEATURES.index(probed_kind(probe))] == 1.0
-    return bool((kind & (features == as_if(features, probed_class(probe))).all(axis=-1)).any())
+    return bool((kind & (features == with_vehicle(features, probed_class(probe))).all(axis=-1)).any())

@@ -35,20 +35,20 @@ def braking_behind(view: SituationView, row: int, perceived_s: float) -> Manoeuv
     target = view.target
     if target is None:
         return None
-    careful = target.brakes((FULL_BRAKE_MPS2,), perceived_s + REACTION_S)[0][0]
+    careful = target.braked_motion((FULL_BRAKE_MPS2,), perceived_s + REACTION_S)[0][0]
     profiles = [SpeedProfile(0.0, perceived_s + REACTION_S, -braking) for braking in _BRAKING_MPS2]
     clear = np.flatnonzero(_stays_behind(view, row, profiles, careful))
     return Manoeuvre(FOLLOWS, row, view.ways[row], profiles[int(clear[0])]) if len(clear) else None
 
 
-def follows_still(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+def still_follows(view: SituationView, manoeuvre: Manoeuvre) -> bool:
     """Return whether who drives *manoeuvre* behind the target stays behind it if that goes on changing its speed."""
     target = view.target
     if target is None:
         return False
     speed = view.scene.history.speed_mps[view.scene.target]
     slows = max(float(speed[-2] - speed[-1]) / view.scene.history.dt_s, 0.0) if len(speed) > 1 else 0.0
-    driven = target.brakes((slows,), 0.0)[0][0]
+    driven = target.braked_motion((slows,), 0.0)[0][0]
     return bool(_stays_behind(view, manoeuvre.row, [manoeuvre.profile], driven)[0])
 
 
@@ -57,6 +57,6 @@ def _stays_behind(
 ) -> FloatArray:
     """Return (P,) whether *row* stays ``_ROOM_M`` behind a target that drives *target_driven_m* (T,)."""
     driven, _ = drive_profiles(np.full(len(profiles), view.speed(row)), profiles)
-    ahead, _ = view.place_on(view.ways[row], view.scene.target)
+    ahead, _ = view.position_on(view.ways[row], view.scene.target)
     gap = view.gap_m(ahead, row, view.scene.target) + target_driven_m - driven
     return np.asarray((gap > _ROOM_M).all(axis=1))

@@ -10,17 +10,17 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S, FINE
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S, FINE_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-PICKS_UP_MPS2 = 0.5
+SPEEDING_UP_MPS2 = 0.5
 """Acceleration of who goes on, towards the limit."""
 _SLOWS_MPS2, _SLOWS_AT_MOST_MPS2 = 2.5, 4.0
 _LATERAL_MPS2, _HARD_LATERAL_MPS2, _SLOWS_FOR_BENDS_MPS2 = 2.5, 4.0, 3.0
 _STRAIGHT_RAD = 0.2
-FINE_DT_S = CHECK_DT_S / FINE
+FINE_DT_S = CHECK_DT_S / FINE_STEPS
 """Spacing of ``speeds_along``."""
-FINE_TIMES_S: FloatArray = FINE_DT_S * np.arange(FINE * len(CHECK_TIMES_S) + 1.0)
+FINE_TIMES_S: FloatArray = FINE_DT_S * np.arange(FINE_STEPS * len(CHECK_TIMES_S) + 1.0)
 """(121,) instants from now on."""
 
 
@@ -39,14 +39,14 @@ def speeds_along(way: Way, speed_mps: float) -> FloatArray:
     driven = 0.0
     for k in range(1, len(speed)):  # plain numbers: there are few lanes, and this is asked in every plan
         free = [at + 2.0 * _SLOWS_MPS2 * max(begin - driven, 0.0) for begin, end, at in parts if driven < end]
-        wish = min(before + PICKS_UP_MPS2 * FINE_DT_S, math.sqrt(min(free, default=np.inf)))
+        wish = min(before + SPEEDING_UP_MPS2 * FINE_DT_S, math.sqrt(min(free, default=np.inf)))
         after = max(wish, before - _SLOWS_AT_MOST_MPS2 * FINE_DT_S, 0.0)
         driven += 0.5 * (before + after) * FINE_DT_S
         speed[k] = before = after
     return speed
 
 
-def takes_bends(way: Way, driven_m: float, speed_mps: float) -> bool:
+def can_slow_for_bends(way: Way, driven_m: float, speed_mps: float) -> bool:
     """Return whether who drives *speed_mps* after *driven_m* metres can still slow for bends: to 4 m/s² sideways."""
     begins, ends, bends = _bends(way)
     in_bend = bends**2 * _HARD_LATERAL_MPS2 / _LATERAL_MPS2

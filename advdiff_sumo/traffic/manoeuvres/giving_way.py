@@ -10,8 +10,12 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.answers import HURRIES_MPS2
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import STOPS_MPS2, goes_first, meeting_m
+from advdiff_sumo.traffic.manoeuvres.answers import HURRYING_MPS2
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
+    CAREFUL_STOP_MPS2,
+    conflict_points_m,
+    priority_links,
+)
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 
@@ -45,7 +49,7 @@ class _Entry:
     def is_late(self) -> bool:
         """Whether it is over the line, or could not stop before it by braking with 4 m/s²."""
         room_m = max(self.room_m, 0.5 * _BEFORE_LINE_M)
-        return self.is_over or self.speed_mps**2 > 2.0 * STOPS_MPS2 * room_m
+        return self.is_over or self.speed_mps**2 > 2.0 * CAREFUL_STOP_MPS2 * room_m
 
     @property
     def is_over(self) -> bool:
@@ -99,12 +103,12 @@ def _entry(view: SituationView, row: int) -> _Entry | None:
 
 def _may_go(view: SituationView, target: _Entry) -> bool:
     """Return whether nothing but who has to give way to it keeps the target from going on."""
-    if view.is_red(target.link) or not view.arrives_alone(target.line_m):
+    if view.is_red(target.link) or not view.is_clear_on_arrival(target.line_m):
         return False
     history, row = view.scene.history, view.scene.target
     if (np.abs(history.speed_mps[row][history.valid[row]]) > STANDS_MPS).any():
         return True
-    first = goes_first(view, target.link)
+    first = priority_links(view, target.link)
     others = (_entry(view, other) for other in view.ways if other != row)
     return not any(other.link in first and other.line_m < _AT_LINE_M for other in others if other is not None)
 
@@ -123,7 +127,7 @@ def _gets_in_the_way(
     view: SituationView, own: _Entry, target: _Entry, driven_m: FloatArray, dt_s: float
 ) -> bool:
     """Return whether who drives *driven_m* (T + 1,) is still where the ways meet when the target comes there."""
-    places = meeting_m(view.road, target.link, own.link)
+    places = conflict_points_m(view.road, target.link, own.link)
     if places is None:
         return False
     ahead_m, own_m = target.line_m + places[0], own.line_m + places[1]
@@ -139,8 +143,8 @@ def _gets_in_the_way(
 def _soonest_s(ahead_m: float, speed_mps: float, limit_mps: float) -> float:
     """Return when somebody who hurries is *ahead_m* further on."""
     fastest = max(speed_mps, limit_mps)
-    gains_m = (fastest**2 - speed_mps**2) / (2.0 * HURRIES_MPS2)
+    gains_m = (fastest**2 - speed_mps**2) / (2.0 * HURRYING_MPS2)
     if ahead_m <= gains_m:
-        reached = float(np.sqrt(speed_mps**2 + 2.0 * HURRIES_MPS2 * max(ahead_m, 0.0)))
-        return (reached - speed_mps) / HURRIES_MPS2
-    return (fastest - speed_mps) / HURRIES_MPS2 + (ahead_m - gains_m) / fastest
+        reached = float(np.sqrt(speed_mps**2 + 2.0 * HURRYING_MPS2 * max(ahead_m, 0.0)))
+        return (reached - speed_mps) / HURRYING_MPS2
+    return (fastest - speed_mps) / HURRYING_MPS2 + (ahead_m - gains_m) / fastest

@@ -32,11 +32,11 @@ class Intensity:
     early_s: float | None = None
     reveals_s: float | None = None
 
-    def is_asked_of(self, kind: str) -> bool:
+    def is_prescribed_for(self, kind: str) -> bool:
         """Return whether manoeuvres of *kind* are chosen for a severity, not for what serves best."""
         asked = {"cut-in": self.spare_gap_m, "crossing": self.early_s, "cut-out": self.reveals_s}
         return asked.get(kind) is not None
 
 
-AS_SERVES = Intensity()
+ANY_SEVERITY = Intensity()
 """Whatever serves best."""

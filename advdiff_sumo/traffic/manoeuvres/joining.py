@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 
-def joins_unanswerably(
+def blocks_lane_change(
     view: SituationView, rows: Sequence[int], xy_m: FloatArray, yaw_rad: FloatArray
 ) -> BoolArray:
     """Return (R,) which plans come into the lane that the target has to change to and leave it no answer there.
@@ -44,9 +44,9 @@ def _joining(view: SituationView) -> TargetWay | None:
     if target is None or _keeps_route(view, target.way):
         return None
     for side in ("left", "right"):
-        way = view.neighbour(row, side)
+        way = view.neighbour_way(row, side)
         if way is not None and _keeps_route(view, way):
-            left = view.place_on(way, row)[1]
+            left = view.position_on(way, row)[1]
             return replace(target, way=Way(replace(way.lane, offset_m=left), target.way.drift_mps))
     return None
 

@@ -16,7 +16,7 @@ from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW, YIELDING_GREEN
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
-from advdiff_sumo.traffic.manoeuvres.free_speed import takes_bends
+from advdiff_sumo.traffic.manoeuvres.free_speed import can_slow_for_bends
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
 from advdiff_sumo.traffic.manoeuvres.repertoire import STOPPING_KINDS, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -29,7 +29,7 @@ _SOON_STEPS, _CROSSED_STEPS, _SET_UP_STEPS = {False: 10, True: 5}, 15, 3
 _STOPS_MPS2 = 3.0
 
 
-def lawful(
+def lawful_mask(
     view: SituationView,
     manoeuvres: Sequence[Manoeuvre],
     futures: ManoeuvreFutures,
@@ -62,7 +62,7 @@ def _keeps(
         return False
     by_then = float(futures.driven_m[k, _SET_UP_STEPS]), float(futures.speed_mps[k, _SET_UP_STEPS])
     # who crosses is timed at one speed, in a turn as well
-    if manoeuvre.kind != "crossing" and not takes_bends(manoeuvre.goal or manoeuvre.way, *by_then):
+    if manoeuvre.kind != "crossing" and not can_slow_for_bends(manoeuvre.goal or manoeuvre.way, *by_then):
         return False
     soon = _SOON_STEPS[begun] if manoeuvre.kind == "crossing" else None  # beyond, others have given way
     driven = float(futures.driven_m[k, -1])
@@ -107,7 +107,7 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
         return False
     if view.is_red(targets):
         return view.signal(own) in GREEN
-    return view.gives_way(targets, own) and not (own.must_wait and not view.signal(own))
+    return view.yields_to(targets, own) and not (own.must_wait and not view.signal(own))
 
 
 def _stops_clear(manoeuvre: Manoeuvre, driven_m: float) -> bool:
@@ -129,8 +129,8 @@ def _leaves_gaps(view: SituationView, manoeuvre: Manoeuvre, licence: Licence) ->
     row, goal = manoeuvre.row, manoeuvre.goal
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1])
     beside = [other for other in view.ways if other != row and _on(goal, view, other)]
-    drives = manoeuvre.until(enters_s, view.speed(row))
-    return all(entry_spare_m(view, row, other, enters_s, licence, drives) >= 0.0 for other in beside)
+    drives = manoeuvre.mean_and_end_speed(enters_s, view.speed(row))
+    return all(entry_margin_m(view, row, other, enters_s, licence, drives) >= 0.0 for other in beside)
 
 
 def _on(goal: Way, view: SituationView, other: int) -> bool:
@@ -138,7 +138,7 @@ def _on(goal: Way, view: SituationView, other: int) -> bool:
     return abs(float(left)) < 0.5 * (goal.present_lane.width_m + float(view.size(other)[1])) - 0.3
 
 
-def entry_spare_m(
+def entry_margin_m(
     view: SituationView,
     row: int,
     other: int,
@@ -157,10 +157,10 @@ def entry_spare_m(
         drives_mps: mean speed of *row* until then, and its speed by then; None: it keeps its speed.
     """
     mean, speed = drives_mps or (view.speed(row), view.speed(row))
-    gains = view.gains_mps2(other)
+    gains = view.speed_gain_mps2(other)
     theirs = view.speed(other) + gains * enters_s
     driven = enters_s * (mean - 0.5 * (view.speed(other) + theirs))
-    ahead = view.place_on(view.ways[other], row)[0] + driven
+    ahead = view.position_on(view.ways[other], row)[0] + driven
     gap = abs(ahead) - 0.5 * float(view.size(row)[0] + view.size(other)[0])
     follower, leader = (theirs + 0.5, speed) if ahead > 0.0 else (speed, theirs)
     return gap - (licence.gap_share * safe_gap_m(follower, leader) + licence.spare_m)
@@ -183,10 +183,10 @@ def _has_room(
         dtype=np.int64,
     )
     own = manoeuvre.row, futures.xy_m[k, soon], futures.yaw_rad[k, soon]
-    xy, yaw = view.coasting(rows)
+    xy, yaw = view.constant_speed_poses(rows)
     clear = _clear_of(view, own, rows, xy[:, soon], yaw[:, soon], _ROOM_M)
-    xy, yaw = view.straight_on
-    return clear and _clear_of(view, own, view.astray, xy[:, soon], yaw[:, soon], _PEOPLE_ROOM_M)
+    xy, yaw = view.constant_velocity_poses
+    return clear and _clear_of(view, own, view.off_lane_rows, xy[:, soon], yaw[:, soon], _PEOPLE_ROOM_M)
 
 
 def _clear_of(
@@ -214,5 +214,5 @@ def _clear_of(
 
 
 def _follows(view: SituationView, manoeuvre: Manoeuvre, other: int) -> bool:
-    ahead, left = view.place_on(view.ways[other], manoeuvre.row)
+    ahead, left = view.position_on(view.ways[other], manoeuvre.row)
     return ahead > 0.0 and abs(left) < 1.2

@@ -20,7 +20,7 @@ from advdiff_sumo.traffic.licence import (
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
-from advdiff_sumo.traffic.manoeuvres.joining import joins_unanswerably
+from advdiff_sumo.traffic.manoeuvres.joining import blocks_lane_change
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import planned_motions
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
@@ -147,5 +147,5 @@ def _refused(
     out = {k for k, kinds in zip(guided, broken, strict=True) if kinds - allowed}
     now = np.zeros(len(guided))
     needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
-    out |= set(np.array(guided)[joins_unanswerably(situation, rows, xy[guided], yaw[guided])].tolist())
+    out |= set(np.array(guided)[blocks_lane_change(situation, rows, xy[guided], yaw[guided])].tolist())
     return out | {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}

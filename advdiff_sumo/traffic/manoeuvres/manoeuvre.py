@@ -18,7 +18,13 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import (
     SpeedProfile,
     drive_profiles,
 )
-from advdiff_sumo.traffic.manoeuvres.ways import STANDS_M, Way, facing, moving_s, settling
+from advdiff_sumo.traffic.manoeuvres.ways import (
+    MIN_STRIDE_M,
+    Way,
+    course_headings,
+    settling_offsets_m,
+    time_in_motion_s,
+)
 
 LATERAL_MPS = 1.1
 """Mean lateral speed of a lane change: 3 to 3.5 s for a lane, as people drive (Toledo and Zohar 2007,
@@ -51,7 +57,7 @@ class SlowBody:
     speed_mps: float
     length_m: float
     width_m: float
-    corridor_m: float
+    corridor_half_width_m: float
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class Manoeuvre:
     goal: Way | None = None
     sets_up: bool = False
     delay_s: float = 0.0
-    reveals: int | None = None
+    revealed_row: int | None = None
     body: SlowBody | None = None
 
     def enters_s(self, xy_m: FloatArray, within_m: float | None = None) -> float:
@@ -94,7 +100,7 @@ class Manoeuvre:
             edge_m = 0.5 * self.goal.present_lane.width_m - INTRUSION_M
             return self._reaches_s(self.body, float(across), edge_m, nose_m=self.body.length_m)
         within_m = _ENTERS_SHARE * abs(float(apart)) if within_m is None else within_m
-        over = np.abs(self.offsets(float(across), _FINE_S)) <= within_m
+        over = np.abs(self.goal_offsets_m(float(across), _FINE_S)) <= within_m
         return self.delay_s + float(_FINE_S[np.argmax(over)])
 
     def _reaches_s(self, body: SlowBody, across_m: float, within_m: float, nose_m: float = 0.0) -> float:
@@ -104,14 +110,14 @@ class Manoeuvre:
         """
         driven, _ = drive_profiles(np.array([body.speed_mps]), [self.profile])
         fine_m = np.interp(_FINE_S, np.append(0.0, CHECK_TIMES_S), np.append(0.0, driven[0]))
-        beside = np.abs(self.offsets(across_m, self.changing_s(fine_m, _FINE_S)))
-        slope = -np.gradient(beside) / np.maximum(np.gradient(fine_m), STANDS_M)
+        beside = np.abs(self.goal_offsets_m(across_m, self.change_time_s(fine_m, _FINE_S)))
+        slope = -np.gradient(beside) / np.maximum(np.gradient(fine_m), MIN_STRIDE_M)
         turned = np.arctan(np.clip(slope, 0.0, 1.0))
         reach = beside - 0.5 * (nose_m * np.sin(turned) + body.width_m * np.cos(turned))
         over = reach <= within_m
         return float(_FINE_S[np.argmax(over)]) if over.any() else float(_FINE_S[-1])
 
-    def until(self, time_s: float, speed_mps: float) -> tuple[float, float]:
+    def mean_and_end_speed(self, time_s: float, speed_mps: float) -> tuple[float, float]:
         """Return the mean speed up to *time_s* and the speed by then of who drives *speed_mps* now."""
         if self.body is None or time_s <= 0.0:
             return speed_mps, speed_mps
@@ -120,17 +126,17 @@ class Manoeuvre:
         mean = float(np.interp(time_s, times, np.append(0.0, driven[0]))) / time_s
         return mean, float(np.interp(time_s, times, np.append(speed_mps, speed[0])))
 
-    def changing_s(self, driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
+    def change_time_s(self, driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return for how long (T,) a change has gone on of who has driven *driven_m* (T,) by *time_s* (T,).
 
         Who is slow takes longer: its time goes by as slowly as it drives on.
         """
         if self.body is None:
-            return np.maximum(moving_s(driven_m, time_s) - self.delay_s, 0.0)
+            return np.maximum(time_in_motion_s(driven_m, time_s) - self.delay_s, 0.0)
         step = np.diff(time_s, prepend=0.0)
         return np.cumsum(np.minimum(np.diff(driven_m, prepend=0.0) / _ASIDE_FROM_MPS, step))
 
-    def asks_s(self, xy_m: FloatArray) -> float:
+    def perceivable_s(self, xy_m: FloatArray) -> float:
         """Return when the target can perceive that the vehicle, at *xy_m* (2,) now, asks something of it; 0: now.
 
         Who changes into its lane asks nothing before it is there and, where it means to slow, slows; who does so slowly
@@ -139,18 +145,18 @@ class Manoeuvre:
         """
         if self.body is not None and self.goal is not None:
             across = self.goal.line.project(xy_m)[1]
-            return self._reaches_s(self.body, float(across), self.body.corridor_m)
+            return self._reaches_s(self.body, float(across), self.body.corridor_half_width_m)
         slows_later = self.profile.then_mps2 < 0.0 <= self.profile.first_mps2
         slows_s = self.profile.switch_s if self.goal is not None and slows_later else 0.0
         return max(self.enters_s(xy_m), slows_s)
 
-    def offsets(self, across_m: float, since_s: FloatArray) -> FloatArray:
+    def goal_offsets_m(self, across_m: float, since_s: FloatArray) -> FloatArray:
         """Return offsets (T,) from the goal's line, *since_s* (T,) after a change began that has *across_m* to go."""
         lasts_s = max(abs(across_m), _NARROW_M) / LATERAL_MPS
         drift_mps = self.way.drift_mps if self.delay_s == 0.0 else 0.0
         if self.body is not None:
             drift_mps *= _ASIDE_FROM_MPS / float(np.clip(self.body.speed_mps, _ROLLS_MPS, _ASIDE_FROM_MPS))
-        return settling(across_m, drift_mps, since_s, lasts_s)
+        return settling_offsets_m(across_m, drift_mps, since_s, lasts_s)
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,7 @@ def planned_motions(
     rows = [manoeuvre.row for manoeuvre in manoeuvres]
     futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(row) for row in rows]))
     xy, yaw, speed = futures.at_model_steps()
-    still, now = futures.driven_m[:, _OF_A_PLAN] < STANDS_M, view.scene.history
+    still, now = futures.driven_m[:, _OF_A_PLAN] < MIN_STRIDE_M, view.scene.history
     xy = np.where(still[..., None], now.xy_m[rows, -1:], xy)
     return xy, np.where(still, now.yaw_rad[rows, -1:], yaw), speed
 
@@ -202,7 +208,7 @@ def _changing(manoeuvre: Manoeuvre, goal: Way, driven_m: FloatArray) -> tuple[Fl
     begin, across = goal.line.project(here)
     there, along = goal.line.at(float(begin) + driven_m, extrapolate=True)
     beside = way.line.at(way.lane.s_m + driven_m, way.lane.offset_m, extrapolate=True)[0]
-    since_s = manoeuvre.changing_s(driven_m, CHECK_TIMES_S)
-    left = manoeuvre.offsets(float(across), since_s)
+    since_s = manoeuvre.change_time_s(driven_m, CHECK_TIMES_S)
+    left = manoeuvre.goal_offsets_m(float(across), since_s)
     xy = there + (left / across if across else 0.0 * left)[:, None] * (beside - there)
-    return xy, facing(here, xy, driven_m, along)
+    return xy, course_headings(here, xy, driven_m, along)

@@ -52,7 +52,7 @@ def blocked_since(view: SituationView, since_s: Mapping[str, float]) -> Mapping[
     }
 
 
-def waiting(view: SituationView, since_s: Mapping[str, float]) -> list[Manoeuvre]:
+def waiting_manoeuvres(view: SituationView, since_s: Mapping[str, float]) -> list[Manoeuvre]:
     """Return how those brake, or stand, whose way has been blocked for their reaction time, where they have to.
 
     Before a line where it may have to stop nobody is taken from SUMO.
@@ -109,7 +109,9 @@ def _braking(view: SituationView, row: int) -> float:
     needed = _needed_mps2(speed, gap, along)
     if _is_left_to_sumo(view, row, gap, along, is_leader):
         return 0.0
-    others = (other for other in [*view.ways, *view.astray.tolist()] if other not in (row, view.scene.target))
+    others = (
+        other for other in [*view.ways, *view.off_lane_rows.tolist()] if other not in (row, view.scene.target)
+    )
     places = (_ahead(view, row, other, _CAREFULLY_M) for other in others)
     worst = max((_needed_mps2(view.speed(row), gap, along) for gap, along, _ in places), default=0.0)
     return min(max(needed, worst, _HOLDS_MPS2), _HARDEST_MPS2)
@@ -118,7 +120,7 @@ def _braking(view: SituationView, row: int) -> float:
 def _is_left_to_sumo(view: SituationView, row: int, gap_m: float, along_mps: float, is_leader: bool) -> bool:
     """Return whether *row* still stops gently at the next plan, however SUMO drives it; a leader it may brake for."""
     speed, gained = view.speed(row), _GAINS_MPS2 * _NEXT_S
-    heeds = view.gains_mps2(row) <= 0.0 or _needed_mps2(speed, gap_m, along_mps) < _BEGINS_MPS2
+    heeds = view.speed_gain_mps2(row) <= 0.0 or _needed_mps2(speed, gap_m, along_mps) < _BEGINS_MPS2
     follows = is_leader and heeds and gap_m >= _CLOSE_M
     then, limit = (speed, _MISSED_MPS2) if follows else (speed + gained, _BEGINS_MPS2)
     closing = 0.5 * (speed + then) - max(along_mps, 0.0)

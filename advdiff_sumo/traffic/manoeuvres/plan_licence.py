@@ -71,7 +71,7 @@ def _planned(
     braking_mps2: float,
 ) -> TrafficView:
     """Return the target and *rows* from the history on to the end of their plans."""
-    driven, speed = target.brakes((braking_mps2,), 0.0)
+    driven, speed = target.braked_motion((braking_mps2,), 0.0)
     xy, yaw = target.way.poses(driven, CHECK_TIMES_S)
     history = view.scene.history.rows([view.scene.target, *rows])
     past = resample(history, CHECK_DT_S)

@@ -27,7 +27,7 @@ SLOWEST_TARGET_MPS = 3.0
 _SOONEST_S, _LATEST_S, _RED_S = 3.2, 6.0, 5.0
 _LEAST_ARRIVAL_S = 1.7
 _SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
-STOPS_MPS2 = 4.0
+CAREFUL_STOP_MPS2 = 4.0
 """Braking with which a careful driver who sees somebody come in still stops at its line."""
 _WAITS_BEFORE_M = 2.5
 """Before the middle of the other's lane: where who turns across it waits."""
@@ -51,7 +51,7 @@ class Approach:
     speed_mps: float
 
 
-def approaches(
+def priority_approaches(
     view: SituationView, oncoming: bool, early_s: float | None = None, from_ahead_only: bool = False
 ) -> Iterator[Approach]:
     """Yield who would meet the target at its next junctions and goes first, those wanted most first.
@@ -71,19 +71,19 @@ def approaches(
         return
     stops_m = _stops_m(target)
     for reach, link in target.way.links:
-        if not 0.0 < reach < REACH_M or not view.arrives_alone(reach):
+        if not 0.0 < reach < REACH_M or not view.is_clear_on_arrival(reach):
             return
         red = view.is_red(link)
         met = [
             (other, places)
             for other in _foes(view, link, oncoming, from_ahead_only)
-            if (places := meeting_m(view.road, link, other))
+            if (places := conflict_points_m(view.road, link, other))
             and stops_m <= reach + _waits_m(view, link, other, places[0])
         ]
         if red:
             met.sort(key=lambda one: one[1][1])  # who is soon there leaves the least time to see it coming
         for other, places in met:
-            meets_s = target.reaches_s(reach + places[0])
+            meets_s = target.arrival_s(reach + places[0])
             soonest_s = (
                 _SOONEST_S if early_s is None else MOST_EARLY_S + _LEAST_ARRIVAL_S
             )  # room for every severity
@@ -92,7 +92,7 @@ def approaches(
                 timing_s = usual_s if early_s is None else (-early_s,)
                 arrivals_s = [meets_s + late for late in timing_s]
                 pace = _PACE_AT_RED if red else 1.0
-                fastest_mps = turning_mps(view.road, other) if from_ahead_only else np.inf
+                fastest_mps = turn_speed_mps(view.road, other) if from_ahead_only else np.inf
                 yield from _meeting(view, other, arrivals_s, places[1], pace, fastest_mps)
         if red:
             return
@@ -100,24 +100,26 @@ def approaches(
 
 def _foes(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
     """Return the links whose traffic goes first where *link* meets them, those wanted most first."""
-    foes = sorted(goes_first(view, link), key=lambda one: _preference(view, link, one, oncoming))
+    foes = sorted(priority_links(view, link), key=lambda one: _preference(view, link, one, oncoming))
     if not from_ahead_only:
         return foes
-    ahead = [one for one in foes if comes_from_ahead(view, link, one)]
+    ahead = [one for one in foes if is_oncoming(view, link, one)]
     return [one for one in ahead if one.direction == "s"] or ahead
 
 
 def _stops_m(target: TargetWay) -> float:
     """Return how far ahead of its centre the front of a careful driver stops that sees cause to now."""
-    return float(target.brakes((STOPS_MPS2,), REACTION_S)[0][0, -1]) + 0.5 * float(target.size_m[0])
+    return float(target.braked_motion((CAREFUL_STOP_MPS2,), REACTION_S)[0][0, -1]) + 0.5 * float(
+        target.size_m[0]
+    )
 
 
 def _waits_m(view: SituationView, link: Link, other: Link, meets_m: float) -> float:
     """Return how far beyond its stop line somebody on *link* waits for *other*, which it would meet at *meets_m*."""
-    return max(meets_m - _WAITS_BEFORE_M, 0.0) if comes_from_ahead(view, link, other) else 0.0
+    return max(meets_m - _WAITS_BEFORE_M, 0.0) if is_oncoming(view, link, other) else 0.0
 
 
-def goes_first(view: SituationView, link: Link) -> list[Link]:
+def priority_links(view: SituationView, link: Link) -> list[Link]:
     """Return the links whose traffic goes first where *link* meets them, and that may be driven now.
 
     That is who has the right of way over *link* or, while that has a red light, who has a green one.
@@ -131,7 +133,7 @@ def goes_first(view: SituationView, link: Link) -> list[Link]:
         return [
             other for other in others if other.request_index in foes and view.signal(other) == PROTECTED_GREEN
         ]
-    return [other for other in others if view.gives_way(link, other) and _may_go(view, other)]
+    return [other for other in others if view.yields_to(link, other) and _may_go(view, other)]
 
 
 def _may_go(view: SituationView, link: Link) -> bool:
@@ -139,10 +141,10 @@ def _may_go(view: SituationView, link: Link) -> bool:
 
 
 def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
-    return comes_from_ahead(view, link, other) is not oncoming, other.direction != "s"
+    return is_oncoming(view, link, other) is not oncoming, other.direction != "s"
 
 
-def comes_from_ahead(view: SituationView, link: Link, other: Link) -> bool:
+def is_oncoming(view: SituationView, link: Link, other: Link) -> bool:
     """Return whether who takes *other* comes to the junction head-on to who takes *link*."""
     own, theirs = (
         float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
@@ -151,7 +153,7 @@ def comes_from_ahead(view: SituationView, link: Link, other: Link) -> bool:
 
 
 @lru_cache(maxsize=4096)
-def meeting_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
+def conflict_points_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
     """Return how far beyond their stop lines the centres of two vehicles meet; None where they stay apart."""
     own, theirs = _over(road, link), _over(road, other)
     apart = np.hypot(*(own[:, None] - theirs[None]).transpose(2, 0, 1))
@@ -170,7 +172,7 @@ def _over(road: RoadMap, link: Link) -> FloatArray:
     return line.at(np.arange(0.0, min(inside + _BEYOND_M, line.length_m), _SPACING_M))[0]
 
 
-def turning_mps(road: RoadMap, link: Link) -> float:
+def turn_speed_mps(road: RoadMap, link: Link) -> float:
     """Return the speed that the junction's lanes of *link* allow who takes it: their limits and bends."""
     lanes = [road.lanes[name] for name in link.via]
     return min((min(lane.speed_mps, bend_mps(lane)) for lane in lanes), default=np.inf)

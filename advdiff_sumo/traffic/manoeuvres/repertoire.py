@@ -29,17 +29,17 @@ ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 SLOW_MERGE, PULL_OUT = "slow-merge", "pull-out"
 SLOW_ENTRIES = (SLOW_MERGE, PULL_OUT)
 """Kinds that enter the target's lane at much less than its speed, and go on; see ``slow_entries``."""
-MOST_DEMANDED_MPS2: Mapping[str, float] = {SLOW_MERGE: 5.0, PULL_OUT: 4.0}
+MAX_DEMAND_MPS2: Mapping[str, float] = {SLOW_MERGE: 5.0, PULL_OUT: 4.0}
 """What they demand of the target at most: with more a careful driver, whose braking takes time to grow, may be late."""
 HARD_BRAKING_MPS2 = (4.5, 6.0, 7.5, 8.5)
 """A leader that brakes for something it alone sees."""
-HEAVY_MPS2 = 7.0
+HEAVY_MAX_BRAKING_MPS2 = 7.0
 """The hardest braking of lorries and buses, SUMO's default ``emergencyDecel`` of trucks."""
 GENTLE_BRAKING_MPS2 = (2.0, 3.0)
 """A vehicle that stops in its lane as at a kerb."""
 AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 """How somebody slows who has just changed lanes and finds the queue."""
-TIMING_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
+CROSSING_ACCELS_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
 """How somebody with priority chooses when to arrive; of what serves alike, the sooner."""
 _REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)
 _LONGEST_DELAY_S = 2.0
@@ -77,12 +77,12 @@ _GENTLY_MPS2, _GAINS_MPS2 = 1.0, 2.0
 def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """The target's leader brakes hard to a stop, or leads it at a steady gap until then."""
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
-    if view.target is not None and _leads(view, row) and view.is_first(view.on_target_way[row][0]):
-        steady = leads_steadily(view, view.target, row)
+    if view.target is not None and _leads(view, row) and view.is_clear_to(view.on_target_way[row][0]):
+        steady = steady_lead_profile(view, view.target, row)
         yield Manoeuvre("hard-stop", row, view.ways[row], steady, sets_up=True)
 
 
-def leads_steadily(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
+def steady_lead_profile(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
     """Return the speed with which *row* leads the target at the headway that people keep, or gently gets there."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
     gap = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
@@ -111,7 +111,7 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     target = view.target
     if target is None or not _beside(view, row) or view.speed(row) < _SLOWEST_MPS:
         return
-    goal = lane_of_target(view, row)
+    goal = way_on_target_lane(view, row)
     if goal is None:
         return
     way, limit = view.ways[row], view.ways[row].lane.speed_mps
@@ -120,10 +120,12 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
         lowest = _CRAWLS_SHARE * target.speed_mps if brake < _STOPS_MPS2 else 0.0
         after = SpeedProfile(0.0, IN_LANE_SHARE * lateral, -brake, lowest, limit)
         yield Manoeuvre("cut-in", row, way, after, goal)
-    yield Manoeuvre("cut-in", row, way, into_position(view, target, row), sets_up=True)
+    yield Manoeuvre("cut-in", row, way, positioning_profile(view, target, row), sets_up=True)
 
 
-def into_position(view: SituationView, target: TargetWay, row: int, spare_gap_m: float = 0.0) -> SpeedProfile:
+def positioning_profile(
+    view: SituationView, target: TargetWay, row: int, spare_gap_m: float = 0.0
+) -> SpeedProfile:
     """Return the speed that brings *row* to where it may just enter the target's lane, with *spare_gap_m* more."""
     limit, drives = view.ways[row].lane.speed_mps, view.speed(row)
     safe = safe_gap_m(target.speed_mps + 0.5, min(target.speed_mps, limit))
@@ -142,13 +144,13 @@ def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     if links is None or target is None or view.speed(row) < _SLOWEST_MPS:
         return
     reach = next((reach for reach, link in target.way.links if link is links[1]), None)
-    if reach is not None and view.arrives_alone(
+    if reach is not None and view.is_clear_on_arrival(
         reach
     ):  # not on the junction yet, nor waiting behind somebody
         yield from _timed(view, row, links[1])
 
 
-def crossing_on(view: SituationView, row: int) -> Iterator[Manoeuvre]:
+def continued_crossings(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Somebody who has begun to cross goes on: it does not hurry while a target that it lets pass is before it."""
     links = crossing_links(view, row)
     if links is None:
@@ -164,7 +166,7 @@ def _timed(view: SituationView, row: int, link: Link) -> Iterator[Manoeuvre]:
     """Yield the speeds at which *row* may cross; before a target with a red light it may look as if it stopped."""
     way = view.ways[row]
     limit = way.lane.speed_mps
-    for accel in TIMING_MPS2:
+    for accel in CROSSING_ACCELS_MPS2:
         for until_s in _TIMING_S if accel else _TIMING_S[:1]:
             slowest = _SLOWEST_MPS if view.is_red(link) else _CROSSES_SHARE * limit
             timed = SpeedProfile(accel, until_s, 0.0, slowest, limit)
@@ -187,12 +189,12 @@ def cut_out_at(view: SituationView, row: int, reveals_s: Sequence[float]) -> Ite
         return
     other, gap_m = stands
     for side in ("left", "right"):
-        goal = view.neighbour(row, side)
+        goal = view.neighbour_way(row, side)
         for left_s in reveals_s if goal is not None else ():
             delay_s = gap_m / view.speed(row) - left_s
             if 0.0 <= delay_s <= _LONGEST_DELAY_S:
                 yield Manoeuvre(
-                    "cut-out", row, view.ways[row], SpeedProfile(), goal, delay_s=delay_s, reveals=other
+                    "cut-out", row, view.ways[row], SpeedProfile(), goal, delay_s=delay_s, revealed_row=other
                 )
 
 
@@ -241,7 +243,9 @@ def _stops(view: SituationView, row: int, kind: str, braking: tuple[float, ...])
 def _possible(view: SituationView, row: int, braking_mps2: Sequence[float]) -> list[float]:
     """Return *braking_mps2* without what the class of *row* cannot do, the hardest that it can in place of that."""
     heavy = view.scene.history.classes[row] in HEAVY_CLASSES
-    return list(dict.fromkeys(min(brake, HEAVY_MPS2) if heavy else brake for brake in braking_mps2))
+    return list(
+        dict.fromkeys(min(brake, HEAVY_MAX_BRAKING_MPS2) if heavy else brake for brake in braking_mps2)
+    )
 
 
 def _leads(view: SituationView, row: int) -> bool:
@@ -259,12 +263,12 @@ def _beside(view: SituationView, row: int) -> bool:
     return BEHIND_M < ahead < AHEAD_M and IN_LANE_M < abs(left) < BESIDE_M
 
 
-def lane_of_target(view: SituationView, row: int) -> Way | None:
+def way_on_target_lane(view: SituationView, row: int) -> Way | None:
     """Return the neighbouring way of *row* that lies on the target's way; None where there is none."""
     target = view.target
     on = {lane.id for lane in target.way.lane.lanes} if target is not None else set()
     for side in ("left", "right"):
-        goal = view.neighbour(row, side)
+        goal = view.neighbour_way(row, side)
         if goal is not None and goal.present_lane.id in on:
             return goal
     return None
@@ -272,7 +276,7 @@ def lane_of_target(view: SituationView, row: int) -> Way | None:
 
 def _stands_before(view: SituationView, row: int) -> tuple[int, float] | None:
     """Return who is next on the way of *row* and stands, and the bumper gap to it; None where it does not stand."""
-    places = ((other, *view.place_on(view.ways[row], other)) for other in view.ways if other != row)
+    places = ((other, *view.position_on(view.ways[row], other)) for other in view.ways if other != row)
     ahead = [(s, other) for other, s, left in places if s > 0.0 and abs(left) < IN_LANE_M]
     distance, other = min(ahead, default=(np.inf, row))
     if distance > LEADS_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.agenda import comes_to_yield, is_possible
-from advdiff_sumo.traffic.manoeuvres.beginning import begin, behind_target
-from advdiff_sumo.traffic.manoeuvres.commitments import SUPPORTS, Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.company import accompanying
-from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
+from advdiff_sumo.traffic.manoeuvres.agenda import approaches_yield_line, is_possible
+from advdiff_sumo.traffic.manoeuvres.beginning import begin, follower_braking
+from advdiff_sumo.traffic.manoeuvres.commitments import SUPPORT_KINDS, Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.company import company_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting
+from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.slow_places import comes_beside
+from advdiff_sumo.traffic.manoeuvres.slow_places import insert_slow_vehicle
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
-from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, come_in
-from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, queue_comes
+from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, insert_newcomers
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, insert_queue
 
 _TRIES_AGAIN_S = 1.0
 """When a queue for which there was no room is tried again, further on."""
@@ -36,19 +36,23 @@ def advance(
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
-    kept = replace(kept, agenda=kept.agenda.at(view), since_s=in_view_since(view, kept.since_s))
-    going, kept = carry_on(view, kept, pause_s, licence)
+    kept = replace(kept, agenda=kept.agenda.updated(view), since_s=in_view_since(view, kept.since_s))
+    going, kept = continue_manoeuvres(view, kept, pause_s, licence)
     if licence is not None:
         kept = replace(kept, blocked_s=blocked_since(view, kept.blocked_s))
         busy = {m.row for m in going}
-        going += [m for m in waiting(view, kept.blocked_s) if m.row not in busy]
-    room = attackers - sum(m.kind not in SUPPORTS for m in going)
+        going += [m for m in waiting_manoeuvres(view, kept.blocked_s) if m.row not in busy]
+    room = attackers - sum(m.kind not in SUPPORT_KINDS for m in going)
     chosen = begin(view, kept, going, room, licence) if room > 0 else []
     features = {one.manoeuvre.row: one.features for one in chosen}
     fresh = [one.manoeuvre for one in chosen]
-    fresh += behind_target(view, [*going, *fresh], fresh, licence)
+    fresh += follower_braking(view, [*going, *fresh], fresh, licence)
     driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
-    company = accompanying(view, {m.row for m in driven}, licence) if DOUBLE in kept.wanted(view) else []
+    company = (
+        company_manoeuvres(view, {m.row for m in driven}, licence)
+        if DOUBLE in kept.startable_kinds(view)
+        else []
+    )
     kept = replace(kept, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     standing = kept.standing.without({name for name, one in begun.items() if not one.sets_up})
@@ -62,21 +66,21 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
     """
     kept = _still_standing(view, kept)
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
-    kinds = [kind for kind in kept.staged(view) if kind not in busy]
+    kinds = [kind for kind in kept.insertable_kinds(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
-    if kept.agenda.crosses_first and ("crossing" in busy or possible or comes_to_yield(view)):
+    if kept.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):
         kinds = [
             kind for kind in kinds if kind == "crossing"
         ]  # a leader would keep the target from the junction
     if QUEUE in kinds:
-        standing, stage = queue_comes(view, kept.stage, kept.standing)
+        standing, stage = insert_queue(view, kept.stage, kept.standing)
         kept = replace(kept, standing=standing, stage=stage)
         kinds = [] if standing.is_queue else kinds
     for kind in SLOW_ENTRIES:
         if kind in kinds:
-            standing, stage = comes_beside(view, kept.stage, kept.standing, kind)
+            standing, stage = insert_slow_vehicle(view, kept.stage, kept.standing, kind)
             kept = replace(kept, standing=standing, stage=stage)
-    newcomers, stage = come_in(view, kept.stage, kinds)
+    newcomers, stage = insert_newcomers(view, kept.stage, kinds)
     hidden = tuple(one for one in newcomers if one.speed_mps == 0.0)
     if hidden:
         kept = replace(kept, standing=StandingTraffic("cut-out", hidden, view.scene.time_s))
@@ -88,13 +92,13 @@ def _still_standing(view: SituationView, kept: Commitments) -> Commitments:
     before, now = kept.standing, view.scene.time_s
     if not before.members:
         return kept
-    standing = before.at(view)
+    standing = before.updated(view)
     lacking = (
         len(set(before.names) - view.scene.history.index.keys()) if now - before.since_s <= PLAN_DT_S else 0
     )
     stage = replace(kept.stage, most=kept.stage.most + lacking)  # others may come in in their place
     if lacking and not standing.members:
-        standing = replace(standing, again_s=now + _TRIES_AGAIN_S)
+        standing = replace(standing, next_try_s=now + _TRIES_AGAIN_S)
     agenda = kept.agenda if standing.members else kept.agenda.without(before.kind, now)
     return replace(kept, standing=standing, stage=stage, agenda=agenda)
 

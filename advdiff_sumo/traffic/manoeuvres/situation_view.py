@@ -25,7 +25,7 @@ NEAR_M = 70.0
 _IN_LANE_M, _SAME_WAY = 1.5, 0.8
 _GAINS_MPS2 = 3.0
 _CLEARS_S = 1.0
-BEYOND_M = 40.0
+ROAD_BEYOND_M = 40.0
 """So far beyond where somebody comes in the road goes on."""
 _PAST = 3  # places that tell how fast somebody moves sideways
 
@@ -44,7 +44,7 @@ class SituationView:
     road: RoadMap
     scene: Scene
     ways: Mapping[int, Way]
-    astray: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    off_lane_rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @staticmethod
     def of(road: RoadMap, scene: Scene) -> SituationView:
@@ -58,7 +58,7 @@ class SituationView:
         walks = now.classes[rows] == AgentClass.PEDESTRIAN
         pairs = zip(rows.tolist(), lanes, walks.tolist(), strict=True)
         ways = {
-            row: Way(lane).moving(now.xy_m[row, -_PAST:], now.dt_s)
+            row: Way(lane).with_drift(now.xy_m[row, -_PAST:], now.dt_s)
             for row, lane, on_foot in pairs
             if lane is not None and not on_foot
         }
@@ -80,7 +80,7 @@ class SituationView:
         """Return the speed of *row* now, at least 0."""
         return max(float(self.scene.history.speed_mps[row, -1]), 0.0)
 
-    def gains_mps2(self, row: int) -> float:
+    def speed_gain_mps2(self, row: int) -> float:
         """Return how fast *row* has gained speed over the last step, 0 to 3 m/s²."""
         speed = self.scene.history.speed_mps[row]
         gained = float(speed[-1] - speed[-2]) / self.scene.history.dt_s if len(speed) > 1 else 0.0
@@ -95,7 +95,7 @@ class SituationView:
         """Rows that may be moved and are on a lane, ascending."""
         return tuple(row for row in self.ways if self.scene.movable[row])
 
-    def place_on(self, way: Way, row: int) -> tuple[float, float]:
+    def position_on(self, way: Way, row: int) -> tuple[float, float]:
         """Return how far *row* is along *way* from where it begins now, and to the left of it."""
         s, left = way.line.project(self.scene.history.xy_m[row, -1])
         return float(s) - way.lane.s_m, float(left)
@@ -105,7 +105,7 @@ class SituationView:
         """Row → how far each other is along the target's way, and to the left of it; empty where it is on no lane."""
         if self.target is None:
             return {}
-        return {row: self.place_on(self.target.way, row) for row in self.ways if row != self.scene.target}
+        return {row: self.position_on(self.target.way, row) for row in self.ways if row != self.scene.target}
 
     @cached_property
     def follower(self) -> int | None:
@@ -115,7 +115,7 @@ class SituationView:
             return None
         yaw = self.scene.history.yaw_rad[:, -1]
         places = (
-            (*self.place_on(way, target), row)
+            (*self.position_on(way, target), row)
             for row, way in self.ways.items()
             if row != target and np.cos(yaw[row] - yaw[target]) > _SAME_WAY
         )
@@ -126,28 +126,28 @@ class SituationView:
         """Return the bumper gap of two boxes whose centres are *ahead_m* apart on one way."""
         return abs(ahead_m) - 0.5 * float(self.size(first)[0] + self.size(second)[0])
 
-    def is_first(self, reach_m: float) -> bool:
+    def is_clear_to(self, reach_m: float) -> bool:
         """Return whether nobody is between the target and a place *reach_m* ahead on its way."""
         on_way = self.on_target_way.values()
         return self.target is not None and not _anybody(on_way, reach_m, _IN_LANE_M)
 
-    def arrives_alone(self, reach_m: float) -> bool:
+    def is_clear_on_arrival(self, reach_m: float) -> bool:
         """Return whether whoever is ahead will have left a place *reach_m* ahead of the target when it gets there."""
         target = self.target
         if target is None:
             return False
-        arrives_s = target.reaches_s(reach_m)
+        arrives_s = target.arrival_s(reach_m)
         if not np.isfinite(arrives_s):
-            return self.is_first(reach_m)
+            return self.is_clear_to(reach_m)
         for row, (ahead, left) in self.on_target_way.items():
             then = ahead + self.speed(row) * max(arrives_s - _CLEARS_S, 0.0)
             if abs(left) < _IN_LANE_M and 0.0 < ahead < reach_m and then < reach_m:
                 return False
         return True
 
-    def anybody_on(self, way: Way, reach_m: float, aside_m: float, from_m: float = 0.0) -> bool:
+    def is_occupied(self, way: Way, reach_m: float, aside_m: float, from_m: float = 0.0) -> bool:
         """Return whether anybody but the target is *from_m* to *reach_m* ahead on *way*, within *aside_m* of it."""
-        places = (self.place_on(way, row) for row in self.ways if row != self.scene.target)
+        places = (self.position_on(way, row) for row in self.ways if row != self.scene.target)
         return _anybody(places, reach_m, aside_m, from_m)
 
     def signal(self, link: Link) -> str:
@@ -158,11 +158,11 @@ class SituationView:
         """Return whether *link* has a red light now."""
         return self.signal(link) in RED
 
-    def gives_way(self, link: Link, other: Link) -> bool:
+    def yields_to(self, link: Link, other: Link) -> bool:
         """Return whether *link* has to give way to *other* of the same junction, and not the other way round."""
         return self.road.must_yield(link, other) and not self.road.must_yield(other, link)
 
-    def neighbour(self, row: int, side: str) -> Way | None:
+    def neighbour_way(self, row: int, side: str) -> Way | None:
         """Return the way that *row* would follow on the lane to its "left" or "right"; None without one."""
         way = self.ways[row]
         lane = way.present_lane
@@ -178,13 +178,13 @@ class SituationView:
         ahead = lanes_ahead(self.road, xy_m[None], np.array([float(yaw_rad)]), [route])[0]
         return None if ahead is None else Way(replace(ahead, offset_m=0.0))
 
-    def far(self, way: Way, reach_m: float) -> Way:
+    def extended_way(self, way: Way, reach_m: float) -> Way:
         """Return the target's *way*, or one beside it, as far as *reach_m* ahead and some more."""
         lane, route = way.lane, self.scene.routes[self.scene.target]
-        reach_m += BEYOND_M
+        reach_m += ROAD_BEYOND_M
         return Way(lane_ahead(self.road.lanes, lane.lanes[0], lane.s_m, 0.0, route, reach_m))
 
-    def coasting(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    def constant_speed_poses(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return centres (R, T, 2) and headings (R, T) of *rows* on their ways that keep their speed.
 
         Who stands stays as it is, askew or beside its lane.
@@ -198,9 +198,9 @@ class SituationView:
         return xy, yaw
 
     @cached_property
-    def straight_on(self) -> tuple[FloatArray, FloatArray]:
-        """Return centres (R, T, 2) and headings (R, T) of who is ``astray``: they keep their velocity."""
-        now, rows = self.scene.history, self.astray
+    def constant_velocity_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return centres (R, T, 2) and headings (R, T) of who is ``off_lane_rows``: they keep their velocity."""
+        now, rows = self.scene.history, self.off_lane_rows
         driven = CHECK_TIMES_S[:, None] * velocities(now)[rows, None]
         yaw = np.repeat(now.yaw_rad[rows, -1:], len(CHECK_TIMES_S), axis=1)
         return now.xy_m[rows, -1:] + driven, yaw

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from advdiff_sumo.core.scene import HEAVY_CLASSES
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
+from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, SlowBody
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AS_GOOD_AS_STANDS_MPS,
@@ -18,11 +18,11 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     IN_LANE_M,
     IN_LANE_SHARE,
     KINDS,
-    MOST_DEMANDED_MPS2,
+    MAX_DEMAND_MPS2,
     PULL_OUT,
     SLOW_ENTRIES,
     SLOW_MERGE,
-    lane_of_target,
+    way_on_target_lane,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfile
@@ -59,7 +59,7 @@ def slow_merge(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     slows_s = max(speed - aims, 0.0) / _SLOWS_MPS2
     loses_m = slows_s * (target.speed_mps - 0.5 * (speed + aims))
     gap_m = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
-    if gap_m - loses_m >= begins_m(target.speed_mps, aims, aims, _ENTERS_S):
+    if gap_m - loses_m >= entry_gap_m(target.speed_mps, aims, aims, _ENTERS_S):
         slowing = SpeedProfile(-_SLOWS_MPS2, slows_s, 0.0, aims, way.lane.speed_mps)
         yield Manoeuvre(SLOW_MERGE, row, way, slowing, sets_up=True)
 
@@ -88,7 +88,7 @@ PROPOSALS: Mapping[str, Callable[[SituationView, int], Iterator[Manoeuvre]]] = {
 """Every kind of manoeuvre by name, also those that warm-ups know nothing of."""
 
 
-def begins_m(target_mps: float, mean_mps: float, speed_mps: float, enters_s: float) -> float:
+def entry_gap_m(target_mps: float, mean_mps: float, speed_mps: float, enters_s: float) -> float:
     """Return the bumper gap to the target with which somebody may just begin to enter its lane.
 
     Args:
@@ -112,7 +112,9 @@ def kerb_side(view: SituationView) -> str:
     return "left" if view.road.lefthand else "right"
 
 
-def may_wait(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float, licence: Licence | None) -> bool:
+def can_begin_later(
+    view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float, licence: Licence | None
+) -> bool:
     """Return whether *manoeuvre*, which demands *needed_mps2* of the target, can begin lawfully at the next plan, too.
 
     By then the gap is less: who enters slowly does so with the gap that the licence just allows.
@@ -122,13 +124,15 @@ def may_wait(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float, lice
     row, target = manoeuvre.row, view.scene.target
     loses_m = PLAN_DT_S * (view.speed(target) - view.speed(row))
     now = view.scene.history.xy_m[row, -1]
-    closing_mps = view.speed(target) - manoeuvre.until(manoeuvre.asks_s(now), view.speed(row))[1]
+    closing_mps = (
+        view.speed(target) - manoeuvre.mean_and_end_speed(manoeuvre.perceivable_s(now), view.speed(row))[1]
+    )
     left_m = 0.5 * closing_mps**2 / needed_mps2 - loses_m  # of what braking takes
-    if 0.5 * closing_mps**2 > MOST_DEMANDED_MPS2[manoeuvre.kind] * left_m:
+    if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * left_m:
         return False
     enters_s = manoeuvre.enters_s(now)
-    drives = manoeuvre.until(enters_s, view.speed(row))
-    return entry_spare_m(view, row, target, enters_s, licence or LAWFUL, drives) >= loses_m
+    drives = manoeuvre.mean_and_end_speed(enters_s, view.speed(row))
+    return entry_margin_m(view, row, target, enters_s, licence or LAWFUL, drives) >= loses_m
 
 
 def _goal(view: SituationView, row: int) -> Way | None:
@@ -136,7 +140,7 @@ def _goal(view: SituationView, row: int) -> Way | None:
     ahead, left = view.on_target_way.get(row, (0.0, 0.0))
     if view.target is None or not (0.0 < ahead < NEAR_M and IN_LANE_M < abs(left) < BESIDE_M):
         return None
-    return lane_of_target(view, row)
+    return way_on_target_lane(view, row)
 
 
 def _side_of(view: SituationView, goal: Way, row: int) -> str:

@@ -18,7 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     PULLS_OUT_MPS,
     SETS_OFF_MPS2,
     SLOWEST_MPS,
-    begins_m,
+    entry_gap_m,
     kerb_side,
 )
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory
@@ -43,12 +43,12 @@ _FREE_BEHIND_M, _FREE_AHEAD_M, _APART_M = 50.0, 15.0, 10.0
 _AGAIN_S = 15.0
 
 
-def comes_beside(
+def insert_slow_vehicle(
     view: SituationView, stage: StagingMemory, standing: StandingTraffic, kind: str
 ) -> tuple[StandingTraffic, StagingMemory]:
     """Return who comes in now beside the target's lane for *kind*, if there is room, and what staging remembers."""
     now = view.scene.time_s
-    if standing.members or now < standing.again_s or stage.count >= stage.most:
+    if standing.members or now < standing.next_try_s or stage.count >= stage.most:
         return standing, stage
     agent_class = _STANDS[stage.count % len(_STANDS)] if kind == PULL_OUT else stage.agent_class
     place = next(_places(view, kind, agent_class), None)
@@ -58,7 +58,7 @@ def comes_beside(
     return StandingTraffic(kind, (one,), now, now + _AGAIN_S), replace(stage, count=stage.count + 1)
 
 
-def can_come_beside(view: SituationView, kind: str) -> bool:
+def can_insert_slow_vehicle(view: SituationView, kind: str) -> bool:
     """Return whether there is room for somebody who is to enter the target's lane slowly."""
     return next(_places(view, kind, AgentClass.CAR), None) is not None
 
@@ -76,8 +76,8 @@ def _places(view: SituationView, kind: str, agent_class: AgentClass) -> Iterator
 
 def _speed_then(view: SituationView, target: TargetWay, seen_s: float, then_s: float) -> float:
     """Return the speed of the target in *seen_s*, or, while it gains speed, the one that it may have *then_s* later."""
-    gains = view.gains_mps2(view.scene.target) * (seen_s + then_s)
-    speed = float(np.interp(seen_s, FINE_TIMES_S, target.goes_on_mps))
+    gains = view.speed_gain_mps2(view.scene.target) * (seen_s + then_s)
+    speed = float(np.interp(seen_s, FINE_TIMES_S, target.free_speed_mps))
     return max(speed, min(target.speed_mps + gains, target.way.lane.speed_mps))
 
 
@@ -91,10 +91,10 @@ def _beside(
 ) -> Iterator[Newcomer]:
     """Yield who may come in beside the target's lane at *speed_mps*, its centre *ahead_m* of the target's."""
     goes_on = _GOES_ON_M + 0.5 * Newcomer.size_of(agent_class)[0]
-    way = view.far(target.way, ahead_m)
+    way = view.extended_way(target.way, ahead_m)
     there, s = lane_at(way, way.lane.s_m + ahead_m)
     waits = any(reach < ahead_m + goes_on and not _is_free(view, link) for reach, link in way.links)
-    if waits or there.is_internal or way.lane.end_m < ahead_m + goes_on or not view.is_first(ahead_m):
+    if waits or there.is_internal or way.lane.end_m < ahead_m + goes_on or not view.is_clear_to(ahead_m):
         return
     edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
     route = tuple(view.scene.routes[view.scene.target])
@@ -120,7 +120,7 @@ def _distances(
         begins = [(0.0, _pulls_out_m(speed_mps, SETS_OFF_MPS2[agent_class in HEAVY_CLASSES]))]
     else:
         crawls = [max(share * speed_mps, SLOWEST_MPS) for share in _CRAWLS_SHARES]
-        begins = [(one, begins_m(speed_mps, one, one, _MERGES_S)) for one in crawls]
+        begins = [(one, entry_gap_m(speed_mps, one, one, _MERGES_S)) for one in crawls]
     for drives, gap in begins:
         in_view_m = _IN_VIEW_S * (speed_mps - drives) if drives else 0.0
         if gap + lengths + in_view_m <= NEAR_M:
@@ -133,7 +133,7 @@ def _pulls_out_m(speed_mps: float, gains_mps2: float) -> float:
     It leaves the lawful gap at the line, and room to answer once it is in the target's corridor.
     """
     enters, drives = gains_mps2 * _ENTERS_S, PULLS_OUT_MPS[1]
-    lawful_m = begins_m(speed_mps, 0.5 * enters, enters, _ENTERS_S)
+    lawful_m = entry_gap_m(speed_mps, 0.5 * enters, enters, _ENTERS_S)
     answers_s = _PERCEIVED_S + REACTION_S
     driven_m = drives * answers_s - 0.5 * drives**2 / gains_mps2
     needs_m = answers_s * speed_mps - driven_m + 0.5 * max(speed_mps - drives, 0.0) ** 2 / _ANSWER_MPS2

@@ -15,7 +15,7 @@ CHECK_DT_S = 0.25
 """Spacing at which boxes are compared."""
 CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_DT_S) + 1.0) * CHECK_DT_S
 """(24,) instants of a plan at which boxes are compared."""
-FINE = 5
+FINE_STEPS = 5
 """Steps of the integration in one of those."""
 
 
@@ -53,8 +53,8 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
         profiles: P profiles. A speed beyond a bound now stays as it is until the profile takes it back.
     """
     first, switch, then, lowest, highest = SpeedProfile.table(profiles).T
-    small = CHECK_DT_S / FINE
-    time = small * (np.arange(FINE * len(CHECK_TIMES_S)) + 0.5)
+    small = CHECK_DT_S / FINE_STEPS
+    time = small * (np.arange(FINE_STEPS * len(CHECK_TIMES_S)) + 0.5)
     gain = small * np.where(time[:, None] < switch, first, then)
     speed = np.empty((len(time) + 1, len(profiles)))
     speed[0] = speed_mps
@@ -63,5 +63,5 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
         speed[k + 1] = np.minimum(np.maximum(now + gain[k], slowest), np.maximum(highest, now))
     speed = np.ascontiguousarray(speed.T)
     driven = np.cumsum(0.5 * small * (speed[:, 1:] + speed[:, :-1]), axis=1)
-    at = slice(FINE - 1, None, FINE)
+    at = slice(FINE_STEPS - 1, None, FINE_STEPS)
     return driven[:, at], speed[:, 1:][:, at]

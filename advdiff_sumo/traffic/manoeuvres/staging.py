@@ -17,10 +17,10 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.company import entrances, places
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS, Approach, approaches
+from advdiff_sumo.traffic.manoeuvres.company import company_places, insertion_places
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS, Approach, priority_approaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, STOPS_FROM_MPS
-from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, SituationView
+from advdiff_sumo.traffic.manoeuvres.situation_view import ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
@@ -33,7 +33,7 @@ STAGED = 6
 _AGAIN_S = 2.0
 _NO_PLACE_BEFORE = RED | {PLAIN_YELLOW}
 """Signals shortly before which nobody comes in."""
-AHEAD_M = 55.0
+NO_LEADER_WITHIN_M = 55.0
 """Within which nobody may lead the target where somebody is to come in."""
 _LATER_M, _FARTHEST_M = 36.0, 72.0
 _LEAST_AHEAD_M, _SPARE_M, _NEARLY_M = 22.0, 3.0, 10.0
@@ -68,7 +68,7 @@ class StagingMemory:
     spare_gap_m: float = 0.0
     only_oncoming: bool = False
     count: int = 0
-    again_s: float = 0.0
+    next_try_s: float = 0.0
 
     @property
     def agent_class(self) -> AgentClass:
@@ -108,12 +108,12 @@ class Newcomer(Approach):
         )
 
 
-def come_in(
+def insert_newcomers(
     view: SituationView, stage: StagingMemory, kinds: Container[str]
 ) -> tuple[tuple[Newcomer, ...], StagingMemory]:
     """Return who comes in now, for manoeuvres of *kinds*, and what is remembered."""
     now = view.scene.time_s
-    if view.target is None or stage.count >= stage.most or now < stage.again_s:
+    if view.target is None or stage.count >= stage.most or now < stage.next_try_s:
         return (), stage
     taken: list[Newcomer] = []
     roles = {
@@ -130,7 +130,7 @@ def come_in(
         taken += _hidden(view, stage)
     named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
     waits_s = _AGAIN_S if taken else 0.0  # the time at which somebody would meet the target is short
-    return named, replace(stage, count=stage.count + len(taken), again_s=now + waits_s)
+    return named, replace(stage, count=stage.count + len(taken), next_try_s=now + waits_s)
 
 
 def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState | None = None) -> JointPlan:
@@ -169,7 +169,7 @@ def with_newcomers(
     return replace(plan, tracks=tracks.joined(more) if tracks.agents else more, routes=routes)
 
 
-def begins(view: SituationView) -> bool:
+def is_first_plan(view: SituationView) -> bool:
     """Return whether this is the first plan of an episode."""
     return view.scene.time_s < PLAN_DT_S
 
@@ -180,10 +180,10 @@ def _leader(view: SituationView, stage: StagingMemory, more_m: float = 0.0) -> I
     if (
         target is None
         or target.speed_mps < SLOWEST_TARGET_MPS
-        or view.anybody_on(target.way, AHEAD_M, _IN_LANE_M)
+        or view.is_occupied(target.way, NO_LEADER_WITHIN_M, _IN_LANE_M)
     ):
         return
-    least = _LEAST_AHEAD_M if begins(view) else _LATER_M
+    least = _LEAST_AHEAD_M if is_first_plan(view) else _LATER_M
     gap = max(HEADWAY_S * target.speed_mps + 8.0, least) + more_m
     yield from _on_way(view, target.way, gap, target.speed_mps, stage.agent_class)
 
@@ -191,24 +191,26 @@ def _leader(view: SituationView, stage: StagingMemory, more_m: float = 0.0) -> I
 def _beside(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody on the next lane, ahead of the target by what a lane change has to leave."""
     target = view.target
-    if target is None or target.speed_mps < SLOWEST_TARGET_MPS or not view.is_first(AHEAD_M):
+    if target is None or target.speed_mps < SLOWEST_TARGET_MPS or not view.is_clear_to(NO_LEADER_WITHIN_M):
         return
-    speed = target.speed_mps + view.gains_mps2(view.scene.target)
-    least = _LEAST_AHEAD_M if begins(view) else _LATER_FROM_TARGET_M + 1.0
+    speed = target.speed_mps + view.speed_gain_mps2(view.scene.target)
+    least = _LEAST_AHEAD_M if is_first_plan(view) else _LATER_FROM_TARGET_M + 1.0
     for side in ("left", "right"):
-        way = view.neighbour(view.scene.target, side)
+        way = view.neighbour_way(view.scene.target, side)
         if way is None:
             continue
         drives = min(target.speed_mps, way.lane.speed_mps)
         gap = LAWFUL.gap_share * safe_gap_m(speed + 0.5, drives) + LAWFUL.spare_m + stage.spare_gap_m
         ahead = max(gap + SIZE_M[stage.agent_class][0] + _SPARE_M, least)
-        if not view.anybody_on(way, AHEAD_M, _IN_LANE_M, ahead - _NEARLY_M):  # who could get there itself
+        if not view.is_occupied(
+            way, NO_LEADER_WITHIN_M, _IN_LANE_M, ahead - _NEARLY_M
+        ):  # who could get there itself
             yield from _on_way(view, way, ahead, drives, stage.agent_class)
 
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Somebody whom the target has to let pass at its next junction, there when the target is."""
-    for one in approaches(view, stage.oncoming, stage.early_s, stage.only_oncoming):
+    for one in priority_approaches(view, stage.oncoming, stage.early_s, stage.only_oncoming):
         yield Newcomer(one.way, one.speed_mps, stage.agent_class)
 
 
@@ -219,7 +221,9 @@ def _in_company(view: SituationView, stage: StagingMemory) -> list[Newcomer]:
     for one in _company(view):
         if len(out) < most and _is_free(view, one, ()) and _is_clear_of(one, out):
             out.append(one)
-    leaders = (one for more in _LEADS_MORE_M for one in _leader(view, stage, more)) if places(view) else ()
+    leaders = (
+        (one for more in _LEADS_MORE_M for one in _leader(view, stage, more)) if company_places(view) else ()
+    )
     first = (one for one in leaders if _is_free(view, one, ()) and _is_clear_of(one, out))
     return [*islice(first, 1), *out] if most >= 0 else []
 
@@ -234,14 +238,14 @@ def _company(view: SituationView) -> Iterator[Newcomer]:
     target, row = view.target, view.scene.target
     if target is None or target.speed_mps < STOPS_FROM_MPS:
         return
-    least = (_FROM_TARGET_M if begins(view) else _LATER_FROM_TARGET_M) + 1.0
-    for side, at in entrances(view, least):
-        way = view.neighbour(row, side) if side else target.way
+    least = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
+    for side, at in insertion_places(view, least):
+        way = view.neighbour_way(row, side) if side else target.way
         if way is not None and way.lane.s_m + at > 0.0:
             yield from _on_way(view, way, at, min(target.speed_mps, way.lane.speed_mps), AgentClass.CAR)
 
 
-def can_hide(view: SituationView) -> bool:
+def can_insert_cut_out(view: SituationView) -> bool:
     """Return whether somebody who stands, and a leader before, could come in now."""
     return bool(_hidden(view, StagingMemory()))
 
@@ -249,10 +253,10 @@ def can_hide(view: SituationView) -> bool:
 def _hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
     """Somebody who stands ahead of the target and a leader between, where there is a lane to go aside to."""
     target = view.target
-    if target is None or not begins(view) or view.anybody_on(target.way, _FARTHEST_M, _IN_LANE_M):
+    if target is None or not is_first_plan(view) or view.is_occupied(target.way, _FARTHEST_M, _IN_LANE_M):
         return ()
-    aside = [view.neighbour(view.scene.target, side) for side in ("left", "right")]
-    if not any(way is not None and not view.anybody_on(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
+    aside = [view.neighbour_way(view.scene.target, side) for side in ("left", "right")]
+    if not any(way is not None and not view.is_occupied(way, _FARTHEST_M, _IN_LANE_M) for way in aside):
         return ()
     speed = target.speed_mps
     if not SLOWEST_TARGET_MPS <= speed <= _FASTEST_HIDING_MPS:
@@ -262,7 +266,7 @@ def _hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
     leader = [
         one for one in _on_way(view, target.way, leads_m, speed, AgentClass.CAR) if _is_free(view, one, ())
     ]
-    standing = list(_on_way(view, view.far(target.way, stands_m), stands_m, 0.0, stage.agent_class))
+    standing = list(_on_way(view, view.extended_way(target.way, stands_m), stands_m, 0.0, stage.agent_class))
     return [*leader, *standing] if leader and standing and _meets_nobody(view, standing[0]) else ()
 
 
@@ -270,7 +274,7 @@ def _on_way(
     view: SituationView, way: Way, ahead_m: float, speed_mps: float, agent_class: AgentClass
 ) -> Iterator[Newcomer]:
     """Somebody *ahead_m* further along *way*, on no junction, before no red light and not at the road's end."""
-    if ahead_m + BEYOND_M > way.lane.end_m:
+    if ahead_m + ROAD_BEYOND_M > way.lane.end_m:
         return
     if any(reach < ahead_m + 10.0 and view.signal(link) in _NO_PLACE_BEFORE for reach, link in way.links):
         return
@@ -293,7 +297,7 @@ def _is_free(view: SituationView, one: Newcomer, taken: Sequence[Newcomer]) -> b
     from_target = float(apart[there == target].min(initial=np.inf))
     clear = clear and _meets_nobody(view, one)
     others = [float(np.linalg.norm(one.xy_m - other.xy_m)) for other in taken]
-    nearest = _FROM_TARGET_M if begins(view) else _LATER_FROM_TARGET_M
+    nearest = _FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M
     return clear and nearest < from_target < _FARTHEST_M and min(others, default=np.inf) > _APART_M
 
 
@@ -302,5 +306,5 @@ def _meets_nobody(view: SituationView, one: Newcomer) -> bool:
     soon = CHECK_TIMES_S[CHECK_TIMES_S <= _MEETS_S]
     rows = np.array([row for row in view.ways if row != view.scene.target], dtype=np.int64)
     own = one.way.poses(one.speed_mps * soon, soon)[0]
-    theirs = view.coasting(rows)[0][:, : len(soon)]
+    theirs = view.constant_speed_poses(rows)[0][:, : len(soon)]
     return bool((np.linalg.norm(theirs - own, axis=-1) > _CLEAR_M).all())

@@ -16,9 +16,9 @@ from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
-from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_S
+from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_DRIVING_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT, SLOW_ENTRIES, SLOW_MERGE
-from advdiff_sumo.traffic.manoeuvres.situation_view import BEYOND_M, NEAR_M, SituationView
+from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, with_newcomers
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -52,7 +52,7 @@ class StandingTraffic:
     kind: str = QUEUE
     members: tuple[Newcomer, ...] = ()
     since_s: float = 0.0
-    again_s: float = 0.0
+    next_try_s: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ class StandingTraffic:
         """Whether there is the end of a queue, beside which nobody else attacks."""
         return self.kind == QUEUE and bool(self.members)
 
-    def holds(self, name: str) -> bool:
+    def is_passive(self, name: str) -> bool:
         """Return whether *name* is a member that only stands or goes on, and begins nothing of its own."""
         return name in self.names and self.kind not in SLOW_ENTRIES
 
@@ -72,7 +72,7 @@ class StandingTraffic:
         """Return it without those *names* who have begun what they came in for."""
         return replace(self, members=tuple(one for one in self.members if one.name not in names))
 
-    def at(self, view: SituationView) -> StandingTraffic:
+    def updated(self, view: SituationView) -> StandingTraffic:
         """Return what is left of it: it moves off once the target is past it or, at a queue, has closed up.
 
         Without its first member, on the target's lane, for whom there was no room, it is none.
@@ -96,13 +96,13 @@ class StandingTraffic:
             yield one.name, (*self.poses(one, times), np.full(PLAN_STEPS, one.speed_mps))
 
 
-def queue_comes(
+def insert_queue(
     view: SituationView, stage: StagingMemory, standing: StandingTraffic
 ) -> tuple[StandingTraffic, StagingMemory]:
     """Return the end of a queue that comes in now, if there is room for one, and what staging remembers."""
     now = view.scene.time_s
     room = stage.most - stage.count
-    if standing.members or now < standing.again_s or room < 1:
+    if standing.members or now < standing.next_try_s or room < 1:
         return standing, stage
     members = tuple(
         replace(
@@ -118,7 +118,7 @@ def queue_comes(
     return queue, replace(stage, count=stage.count + len(members))
 
 
-def can_queue(view: SituationView) -> bool:
+def can_insert_queue(view: SituationView) -> bool:
     """Return whether there is room for the end of a queue, as far as is seen."""
     return bool(_places(view))
 
@@ -135,13 +135,14 @@ def with_standing(plan: JointPlan, standing: StandingTraffic, time_s: float) -> 
 def _places(view: SituationView) -> list[Newcomer]:
     """Return who stands, or crawls, on each lane ahead, on the target's first; nobody where there is no room."""
     target = view.target
-    if target is None or target.speed_mps < _LEAST_SPEED_MPS or not view.is_first(NEAR_M):
+    if target is None or target.speed_mps < _LEAST_SPEED_MPS or not view.is_clear_to(NEAR_M):
         return []
     crawls = max(target.speed_mps - _FASTEST_CLOSING_MPS, 0.0)
     ahead, drives = _ahead_m(target.speed_mps - crawls), crawls * _LASTS_S
-    way = view.far(target.way, ahead + drives)
+    way = view.extended_way(target.way, ahead + drives)
     waits = any(
-        reach < ahead + BEYOND_M and (link.yields or link.tls_id is not None) for reach, link in way.links
+        reach < ahead + ROAD_BEYOND_M and (link.yields or link.tls_id is not None)
+        for reach, link in way.links
     )
     there, s = lane_at(way, way.lane.s_m + ahead)
     if waits or way.lane.end_m < ahead + drives or there.is_internal:
@@ -157,7 +158,7 @@ def _places(view: SituationView) -> list[Newcomer]:
 
 def _ahead_m(closing_mps: float) -> float:
     """Return how far ahead a queue ends: for 3 s it asks nothing, and a careful driver then brakes with 4 m/s²."""
-    ahead = closing_mps * (ORDINARY_S + REACTION_S) + 0.5 * closing_mps**2 / _STOPS_MPS2 + _LENGTHS_M
+    ahead = closing_mps * (ORDINARY_DRIVING_S + REACTION_S) + 0.5 * closing_mps**2 / _STOPS_MPS2 + _LENGTHS_M
     return max(ahead, _OUT_OF_SIGHT_M)
 
 

@@ -16,7 +16,7 @@ _SETTLES_S = 2.0
 _DRIFTS_MPS = 0.2
 _TURNS_M = 0.12
 """Least stride from one instant to the next that tells where somebody faces."""
-STANDS_M = 0.01
+MIN_STRIDE_M = 0.01
 """Shorter strides are none."""
 
 
@@ -57,13 +57,15 @@ class Way:
         The lateral offset and drift that the vehicle has now decay within ``_SETTLES_S`` of driving; who drifts faces
         its course.
         """
-        left = settling(self.lane.offset_m, self.drift_mps, moving_s(driven_m, time_s), _SETTLES_S)
+        left = settling_offsets_m(
+            self.lane.offset_m, self.drift_mps, time_in_motion_s(driven_m, time_s), _SETTLES_S
+        )
         xy, along = self.line.at(self.lane.s_m + driven_m, left, extrapolate=True)
         if abs(self.drift_mps) < _DRIFTS_MPS:
             return xy, along
-        return xy, facing(self.line.at(self.lane.s_m, self.lane.offset_m)[0], xy, driven_m, along)
+        return xy, course_headings(self.line.at(self.lane.s_m, self.lane.offset_m)[0], xy, driven_m, along)
 
-    def moving(self, past_xy_m: FloatArray, dt_s: float) -> Way:
+    def with_drift(self, past_xy_m: FloatArray, dt_s: float) -> Way:
         """Return this way with the drift of who was at *past_xy_m* (P, 2), *dt_s* apart, the last of them now.
 
         Second-order backward difference of the offsets; first-order where two places lie on the line, and 0 for one.
@@ -81,13 +83,13 @@ class Way:
         return self.lane.lanes[0]
 
 
-def moving_s(driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
+def time_in_motion_s(driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
     """Return for how long (…, T) who has driven *driven_m* (…, T) metres at *time_s* (T,) has moved by then."""
-    moves = np.diff(driven_m, axis=-1, prepend=0.0) > STANDS_M
+    moves = np.diff(driven_m, axis=-1, prepend=0.0) > MIN_STRIDE_M
     return np.cumsum(np.diff(time_s, prepend=0.0) * moves, axis=-1)
 
 
-def settling(offset_m: float, drift_mps: float, since_s: FloatArray, lasts_s: float) -> FloatArray:
+def settling_offsets_m(offset_m: float, drift_mps: float, since_s: FloatArray, lasts_s: float) -> FloatArray:
     """Return offsets (…, T) on the way to a line: the cubic that begins as now and ends on the line and along it.
 
     Args:
@@ -102,7 +104,9 @@ def settling(offset_m: float, drift_mps: float, since_s: FloatArray, lasts_s: fl
     return np.asarray((1.0 - x) ** 2 * (offset_m * (1.0 + 2.0 * x) + begins * x))
 
 
-def facing(here_m: FloatArray, xy_m: FloatArray, driven_m: FloatArray, along_rad: FloatArray) -> FloatArray:
+def course_headings(
+    here_m: FloatArray, xy_m: FloatArray, driven_m: FloatArray, along_rad: FloatArray
+) -> FloatArray:
     """Return headings (…, T) along the course from *here_m* (2,) through *xy_m* (…, T, 2).
 
     Args:
@@ -116,7 +120,7 @@ def facing(here_m: FloatArray, xy_m: FloatArray, driven_m: FloatArray, along_rad
     forward = np.diff(driven_m, axis=-1, prepend=0.0)
     turns = (forward > _TURNS_M) & (np.hypot(stride[..., 0], stride[..., 1]) > _TURNS_M)
     yaw = np.where(turns, np.arctan2(stride[..., 1], stride[..., 0]), along_rad)
-    last = np.maximum.accumulate(np.where(forward > STANDS_M, np.arange(yaw.shape[-1]), -1), axis=-1)
+    last = np.maximum.accumulate(np.where(forward > MIN_STRIDE_M, np.arange(yaw.shape[-1]), -1), axis=-1)
     return np.where(last < 0, along_rad, np.take_along_axis(yaw, np.maximum(last, 0), axis=-1))
 
 

@@ -25,16 +25,16 @@ def later(view: SituationView, time_s: float) -> SituationView:
 def test_a_kind_for_which_there_is_no_place_loses_its_turn(motorway: RoadMap) -> None:
     """Nobody has to give way on a straight motorway, but there is a lane beside; behind a leader there is no room."""
     free = view_of(motorway, target=(0, 50.0, 20.0))
-    assert Agenda(ORDER).at(free).now == "cut-in"
+    assert Agenda(ORDER).updated(free).now == "cut-in"
     behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
-    assert Agenda(ORDER).at(behind).now == "hard-stop"
+    assert Agenda(ORDER).updated(behind).now == "hard-stop"
 
 
 def test_a_turn_ends(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
-    agenda = Agenda(ORDER).at(view)
-    assert agenda.at(later(view, TURN_S - 0.5)).now == "cut-in"
-    after = agenda.at(later(view, TURN_S))
+    agenda = Agenda(ORDER).updated(view)
+    assert agenda.updated(later(view, TURN_S - 0.5)).now == "cut-in"
+    after = agenda.updated(later(view, TURN_S))
     assert after.now == "hard-stop"
     assert after.since_s == TURN_S
     assert sorted(after.order) == sorted(ORDER)
@@ -43,12 +43,12 @@ def test_a_turn_ends(motorway: RoadMap) -> None:
 def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     begun = Commitments.start("crossing", np.random.default_rng(0), 3)
-    assert begun.agenda.at(view).now == ""
-    assert begun.staged(view) == ("crossing",)
+    assert begun.agenda.updated(view).now == ""
+    assert begun.insertable_kinds(view) == ("crossing",)
 
 
 def test_every_order_holds_every_kind() -> None:
-    drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
+    drawn = [Agenda.draw(np.random.default_rng(k)).order for k in range(40)]
     assert {tuple(sorted({*order} - {"cut-out", "queue"})) for order in drawn} == {tuple(sorted(ORDER))}
     assert {order[0] for order in drawn} == {"crossing", "cut-in", "cut-out"}
     assert {order[-1] for order in drawn} == {"hard-stop"}
@@ -60,26 +60,26 @@ def test_every_order_holds_every_kind() -> None:
 def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> None:
     """There is room for it at 9 m/s, none at 20 m/s; when its turn is over it does not come again."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
-    begun = Agenda(("cut-out", *ORDER)).at(view)
+    begun = Agenda(("cut-out", *ORDER)).updated(view)
     assert begun.now == "cut-out"
     assert begun.at(later(view, TURN_S - 0.5)).now == "cut-out"
     after = begun.at(later(view, TURN_S))
     assert "cut-out" not in after.order
     assert after.now == "cut-in"
     fast = view_of(motorway, target=(0, 50.0, 20.0))
-    assert Agenda(("cut-out", *ORDER)).at(fast).now == "cut-in"
+    assert Agenda(("cut-out", *ORDER)).updated(fast).now == "cut-in"
 
 
 def test_a_queue_has_its_turn_where_no_cut_out_is_possible(motorway: RoadMap) -> None:
     """At 20 m/s and at the beginning alone; behind a leader there is room for neither."""
     fast = view_of(motorway, target=(0, 50.0, 20.0))
-    begun = Agenda(("cut-out", "queue", *ORDER)).at(fast)
+    begun = Agenda(("cut-out", "queue", *ORDER)).updated(fast)
     assert begun.now == "queue"
     assert begun.at(later(fast, TURN_S)).order[0] == "cut-in"
     slow = view_of(motorway, target=(0, 50.0, 9.0))
-    assert Agenda(("cut-out", "queue", *ORDER)).at(slow).now == "cut-out"
+    assert Agenda(("cut-out", "queue", *ORDER)).updated(slow).now == "cut-out"
     behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
-    assert Agenda(("cut-out", "queue", *ORDER)).at(behind).now == "hard-stop"
+    assert Agenda(("cut-out", "queue", *ORDER)).updated(behind).now == "hard-stop"
 
 
 def approach(road: RoadMap, to_line_m: float, speed_mps: float) -> SituationView:
@@ -103,7 +103,7 @@ def test_a_junction_where_the_target_has_to_yield_comes_first(
     """It foresees 8 s: 90 m before the line somebody leads it at 8 m/s, 64 m in that time, and nobody at 12 m/s."""
     order = ("hard-stop", "cut-in", "crossing")
     view = approach(downtown, 90.0, speed_mps)
-    agenda = Agenda(order).at(view)
+    agenda = Agenda(order).updated(view)
     assert agenda.order == (("crossing", "hard-stop", "cut-in") if comes else order)
     kept = replace(Commitments.start("any", np.random.default_rng(0), 6), agenda=agenda)
     leaders = [one for one in let_in(view, kept)[0] if one.speed_mps == speed_mps]

@@ -10,9 +10,9 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.choice import rank
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -35,7 +35,7 @@ def test_braking_that_is_needed_behind_a_stopping_leader(motorway: RoadMap) -> N
     The target goes on for 0.75 s at 0.5 m/s²: 15.1 m, up to 20.4 m/s. Less 0.3 m of room, gaps of 40, 30, 22 and
     10 m leave 49.6, 39.6, 31.6 and 19.6 m, for which 4.2, 5.3, 6.6 and 10.6 m/s² are needed; tried are whole ones.
     """
-    gaps = {40.0: 5.0, 30.0: 6.0, 22.0: 7.0, 10.0: UNANSWERABLE_MPS2}
+    gaps = {40.0: 5.0, 30.0: 6.0, 22.0: 7.0, 10.0: INSUFFICIENT_MPS2}
     for gap, braking in gaps.items():
         view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 50.0 + gap + LENGTH_M, 20.0))
         stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-8.0))
@@ -61,7 +61,7 @@ def change(view: SituationView) -> Manoeuvre:
 
 def is_lawful(view: SituationView, manoeuvre: Manoeuvre) -> bool:
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
-    return bool(lawful(view, [manoeuvre], futures)[0])
+    return bool(lawful_mask(view, [manoeuvre], futures)[0])
 
 
 @pytest.mark.parametrize(("spare", "allowed"), [(-0.5, False), (0.5, True)])
@@ -134,7 +134,7 @@ def test_a_manoeuvre_does_not_drive_into_people(
     history.xy_m[walker] += right * (beside_m + walks_mps * back)[:, None]
     history.size_m[walker] = 0.6
     crowd = SituationView.of(motorway, replace(scene, history=history))
-    assert crowd.astray.tolist() == [walker]
+    assert crowd.off_lane_rows.tolist() == [walker]
     assert is_lawful(crowd, Manoeuvre("hard-stop", 1, crowd.ways[1])) == allowed
 
 
@@ -142,7 +142,7 @@ def test_a_cut_out_asks_for_braking_before_who_stands(motorway: RoadMap) -> None
     """20 m before the leader somebody stands: it leaves 2 s before, and the target then has to stop behind him."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
     proposals = list(KINDS["cut-out"](view, 1))
-    assert {m.reveals for m in proposals} == {2}
+    assert {m.revealed_row for m in proposals} == {2}
     gap_m = 93.0 - 65.0 - 4.5
     assert [m.delay_s for m in proposals if m.goal is not None][:1] == pytest.approx([gap_m / 10.0 - 2.0])
     best = rank(view, proposals, {"cut-out": 1.0})[0]

@@ -14,18 +14,18 @@ from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.company import (
     ACCOMPANIES,
-    accompanies,
-    accompanying,
-    entrances,
-    places,
-    spacing_m,
+    car_spacing_m,
+    company_manoeuvres,
+    company_places,
+    company_rows,
+    insertion_places,
 )
-from advdiff_sumo.traffic.manoeuvres.hidden_stop import hides, stops_in_company
+from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company, is_masked
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, come_in
+from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, insert_newcomers
 from tests.sim.nets import build
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
@@ -36,16 +36,16 @@ FRONT, REAR, LEVEL = {"front": (2, 108.0, 20.0)}, {"rear": (2, 87.0, 20.0)}, {"l
 
 def stop(view: SituationView) -> bool:
     """Return whether the leader, row 1, may stop."""
-    return any(not one.sets_up for one in stops_in_company(view, 1))
+    return any(not one.sets_up for one in hard_stop_in_company(view, 1))
 
 
 def test_the_company_keeps_lawful_gaps(motorway: RoadMap) -> None:
     """At 20 m/s: 1.1 · 0.75 s · 20 m/s, 1 m and a car of 4.6 m are 22.1 m, of which 0.4 lie ahead of the target."""
-    assert spacing_m(20.0) == pytest.approx(22.1)
-    between = places(view_of(motorway, **TARGET))
+    assert car_spacing_m(20.0) == pytest.approx(22.1)
+    between = company_places(view_of(motorway, **TARGET))
     assert between["left"] == pytest.approx((8.84, -13.26))
     assert between["right"] == pytest.approx((-2.21,))
-    rightmost = places(view_of(motorway, target=(0, 100.0, 20.0)))
+    rightmost = company_places(view_of(motorway, target=(0, 100.0, 20.0)))
     assert rightmost.keys() == {"left", ""}
     assert rightmost[""] == pytest.approx((-22.1,))
 
@@ -57,9 +57,9 @@ def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
         if lane.is_drivable and not lane.is_internal and not lane.left_id and not lane.right_id
     )
     view = SituationView.of(downtown, scene_on({"target": (lane, 5.0, 10.0), "leader": (lane, 28.0, 10.0)}))
-    assert places(view) == {}
-    assert not list(stops_in_company(view, 1))
-    assert come_in(view, StagingMemory(most=6), (DOUBLE,))[0] == ()
+    assert company_places(view) == {}
+    assert not list(hard_stop_in_company(view, 1))
+    assert insert_newcomers(view, StagingMemory(most=6), (DOUBLE,))[0] == ()
 
 
 def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: RoadMap) -> None:
@@ -72,7 +72,7 @@ def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: R
         onto, theirs = ({link.to_lane for link in one.successors} for one in (lane, beside))
         if len(onto) == 1 and (not theirs or theirs == onto):
             view = SituationView.of(motorway, scene_on({"target": (lane, lane.length_m - 40.0, 20.0)}))
-            assert "left" not in places(view)
+            assert "left" not in company_places(view)
             count += 1
     assert count
 
@@ -86,7 +86,7 @@ def test_who_leads_the_target_through_a_bend_is_not_beside_it(tmp_path: Path) ->
     road = RoadMap.read(build(tmp_path, nodes, edges, name="bend"))
     cars = {"target": (road.lanes["ab_0"], 40.0, 15.0), "leader": (road.lanes["ab_0"], 78.0, 15.0)}
     view = SituationView.of(road, scene_on(cars | {"beside": (road.lanes["ab_1"], 46.0, 15.0)}))
-    assert accompanies(view, "left") == [2]
+    assert company_rows(view, "left") == [2]
 
 
 def test_who_comes_up_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_who_comes_up_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Pa
     }
     view = SituationView.of(road, scene_on(cars))
     assert set(view.ways) == {0, 1}
-    assert accompanies(view, "right") == []
+    assert company_rows(view, "right") == []
 
 
 @pytest.mark.parametrize(
@@ -124,16 +124,16 @@ def test_the_leader_stops_where_others_are_nearer(
 ) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **company)
     assert stop(view) == stops
-    assert any(one.sets_up for one in stops_in_company(view, 1))
+    assert any(one.sets_up for one in hard_stop_in_company(view, 1))
 
 
 def test_a_careful_driver_answers_the_stop(motorway: RoadMap) -> None:
     """32.1 m of gap and 20²/(2 · 6) m of the leader's way less 15.1 m in 0.75 s: 50 m, for 20.4 m/s 4.2 m/s²."""
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
-    stops = [one for one in stops_in_company(view, 1) if one.profile.then_mps2 == -6.0]
+    stops = [one for one in hard_stop_in_company(view, 1) if one.profile.then_mps2 == -6.0]
     (chosen,) = rank(view, stops, {DOUBLE: 1.0})
     assert chosen.needed_mps2 == 5.0
-    assert hides(view, chosen.manoeuvre)
+    assert is_masked(view, chosen.manoeuvre)
 
 
 def test_the_leader_brakes_as_asked(motorway: RoadMap) -> None:
@@ -155,41 +155,41 @@ def test_the_company_gets_to_its_places_within_the_limit(motorway: RoadMap) -> N
     """The front one at 30 m and the rear one level with the target both fall back; the right one draws level."""
     cars = {"front": (2, 130.0, 20.0), "rear": (2, 100.0, 20.0), "level": (0, 85.0, 20.0)}
     view = view_of(motorway, **TARGET, **cars)
-    gains = {m.row: m.profile.first_mps2 for m in accompanying(view, ())}
+    gains = {m.row: m.profile.first_mps2 for m in company_manoeuvres(view, ())}
     assert gains[1] < 0.0
     assert gains[2] < 0.0
     assert gains[3] > 0.0
-    assert all(m.profile.highest_mps == m.way.lane.speed_mps for m in accompanying(view, ()))
-    assert {m.row for m in accompanying(view, {1})} == {2, 3}
+    assert all(m.profile.highest_mps == m.way.lane.speed_mps for m in company_manoeuvres(view, ()))
+    assert {m.row for m in company_manoeuvres(view, {1})} == {2, 3}
 
 
 def test_who_would_touch_somebody_is_its_own_driver(motorway: RoadMap) -> None:
     """Somebody stands 20 m ahead of the front one, on its lane."""
     view = view_of(motorway, **TARGET, **FRONT, stands=(2, 128.0, 0.0))
-    assert 1 not in {m.row for m in accompanying(view, ())}
+    assert 1 not in {m.row for m in company_manoeuvres(view, ())}
 
 
 def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **FRONT, **REAR)
-    assert accompanying(view, ())
+    assert company_manoeuvres(view, ())
     speed = view.scene.history.speed_mps.copy()
     speed[0, -2] = 21.5
     history = replace(view.scene.history, speed_mps=speed)
     braking = SituationView.of(motorway, replace(view.scene, history=history))
-    assert accompanying(braking, ()) == []
+    assert company_manoeuvres(braking, ()) == []
 
 
 @pytest.mark.parametrize("sideways_mps", [1.0, -1.0])
 def test_nobody_hems_in_a_target_that_changes_lanes(sideways_mps: float, motorway: RoadMap) -> None:
     """Who closes up on the lane that the target moves to would take the lawful gap from it."""
     view = view_of(motorway, **TARGET, rear=(2, 75.0, 20.0))
-    assert [m.profile.first_mps2 > 0.0 for m in accompanying(view, ())] == [True]
+    assert [m.profile.first_mps2 > 0.0 for m in company_manoeuvres(view, ())] == [True]
     history = view.scene.history
     yaw, xy = history.yaw_rad[0, -1], history.xy_m.copy()
     left = np.array([-np.sin(yaw), np.cos(yaw)])
     xy[0] += sideways_mps * history.dt_s * np.arange(-4.0, 1.0)[:, None] * left
     changing = SituationView.of(motorway, replace(view.scene, history=replace(history, xy_m=xy)))
-    assert accompanying(changing, ()) == []
+    assert company_manoeuvres(changing, ()) == []
 
 
 def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: RoadMap) -> None:
@@ -205,8 +205,10 @@ def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: Ro
 def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:
     """On an empty road a leader and three more, all of them cars but the leader, with room for as many as may come."""
     view = view_of(motorway, **TARGET)
-    assert dict(entrances(view, 19.0)) == {"left": pytest.approx(19.0), "right": pytest.approx(-19.0)}
-    (leader, *company), stage = come_in(view, StagingMemory(most=6, classes=(AgentClass.TRUCK,)), (DOUBLE,))
+    assert dict(insertion_places(view, 19.0)) == {"left": pytest.approx(19.0), "right": pytest.approx(-19.0)}
+    (leader, *company), stage = insert_newcomers(
+        view, StagingMemory(most=6, classes=(AgentClass.TRUCK,)), (DOUBLE,)
+    )
     assert stage.count == 4
     assert leader.agent_class is AgentClass.TRUCK
     assert {one.agent_class for one in company} == {AgentClass.CAR}
@@ -214,15 +216,15 @@ def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:
     ahead, left = view.target.way.line.project(np.array([one.xy_m for one in (leader, *company)]))
     assert ahead - 100.0 == pytest.approx([38.0, -19.0, 19.0, -19.0], abs=0.5)
     assert np.sign(np.round(left)).tolist() == [0.0, 1.0, 1.0, -1.0]
-    assert len(come_in(view, StagingMemory(most=2), (DOUBLE,))[0]) == 2
-    assert come_in(view, StagingMemory(most=0), (DOUBLE,))[0] == ()
+    assert len(insert_newcomers(view, StagingMemory(most=2), (DOUBLE,))[0]) == 2
+    assert insert_newcomers(view, StagingMemory(most=0), (DOUBLE,))[0] == ()
 
 
 def test_an_episode_of_double_is_about_nothing_else(motorway: RoadMap) -> None:
     kept = Commitments.start("double", np.random.default_rng(3), staged=6)
     view = view_of(motorway, **TARGET)
     newcomers, kept = let_in(view, kept)
-    assert kept.wanted(view) == (DOUBLE,)
+    assert kept.startable_kinds(view) == (DOUBLE,)
     assert len(newcomers) == 4
     assert kept.attacking == ()
     assert DOUBLE not in Commitments.start("any", np.random.default_rng(3), staged=6).weights

@@ -8,7 +8,7 @@ import pytest
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
+from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import view_of
@@ -43,7 +43,9 @@ def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
     view.scene.history.size_m[1, 1] = width_m
     view = SituationView.of(motorway, view.scene)
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
-    going, _ = carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence)
+    going, _ = continue_manoeuvres(
+        view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence
+    )
     assert [m.kind for m in going] == ["cut-in"]
     x = np.linspace(0.0, 1.0, 1001)
     entered = 0.5 * (lane.width_m + width_m) - 0.3
@@ -59,4 +61,7 @@ def test_who_would_leave_no_answer_once_over_the_line_does_not_cut_in(motorway: 
     lane = view.target.way.present_lane if view.target is not None else None
     assert lane is not None
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-8.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
-    assert carry_on(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, LAWFUL)[0] == []
+    assert (
+        continue_manoeuvres(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, LAWFUL)[0]
+        == []
+    )

@@ -8,9 +8,9 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.answers import seen_not_to_stop_s, trapped_share
+from advdiff_sumo.traffic.manoeuvres.answers import notices_no_stop_s, trapped_share
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, crossing_on
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, continued_crossings
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
@@ -48,18 +48,18 @@ def _place(link: Link) -> int:
 def test_who_drives_ahead_is_gone_by_then(motorway: RoadMap, leads_mps: float, alone: bool) -> None:
     """At 10 m/s, gaining a little, the target has driven 60 m after 5.3 s; a leader 20 m ahead has 1 s before."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 70.0, leads_mps))
-    assert not view.is_first(60.0)
-    assert view.arrives_alone(60.0) is alone
+    assert not view.is_clear_to(60.0)
+    assert view.is_clear_on_arrival(60.0) is alone
 
 
 def test_when_it_is_seen_that_somebody_will_not_stop() -> None:
     """At 9 m/s 4.5 m/s² need 9 m: with 20 m to go that is after 11 m, 1.22 s, seen at 1.25 s and 0.25 s later."""
     steady = np.full(len(CHECK_TIMES_S), 9.0)
     driven_m = 9.0 * CHECK_TIMES_S
-    assert seen_not_to_stop_s(20.0, 9.0, driven_m, steady) == 1.5
-    assert seen_not_to_stop_s(8.9, 9.0, driven_m, steady) == 0.0
+    assert notices_no_stop_s(20.0, 9.0, driven_m, steady) == 1.5
+    assert notices_no_stop_s(8.9, 9.0, driven_m, steady) == 0.0
     stops = np.maximum(9.0 - 3.0 * CHECK_TIMES_S, 0.0)
-    assert seen_not_to_stop_s(20.0, 9.0, 4.5 * CHECK_TIMES_S, stops) == np.inf
+    assert notices_no_stop_s(20.0, 9.0, 4.5 * CHECK_TIMES_S, stops) == np.inf
 
 
 def test_a_way_out(motorway: RoadMap) -> None:
@@ -96,9 +96,9 @@ def test_nobody_hurries_at_a_target_that_it_lets_pass(light: RoadMap) -> None:
     passing = at_the_light(light, "g", 299.0, 270.0)
     assert passing.target_link is not None
     assert not list(KINDS["crossing"](passing, 1))
-    gains = {m.profile.first_mps2 for m in crossing_on(passing, 1)}
+    gains = {m.profile.first_mps2 for m in continued_crossings(passing, 1)}
     assert gains == {0.0, -1.0, -2.0}
-    assert {m.profile.first_mps2 for m in crossing_on(at_the_light(light, "r", 299.0, 270.0), 1)} >= {
+    assert {m.profile.first_mps2 for m in continued_crossings(at_the_light(light, "r", 299.0, 270.0), 1)} >= {
         1.0,
         2.0,
     }

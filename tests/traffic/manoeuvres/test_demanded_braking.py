@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2
+from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
@@ -32,7 +32,7 @@ def test_a_stop_demands_what_ends_behind_it(braking_mps2: float, motorway: RoadM
     """The leader stops v² / 2b further on; the target has that, 30 m less 0.3 m, and loses 0.75 s of driving."""
     v = long_lane(motorway).speed_mps
     least = 0.5 * v**2 / (30.0 - 0.3 + 0.5 * v**2 / braking_mps2 - 0.75 * v)
-    expected = float(np.ceil(least)) if least <= 7.0 else UNANSWERABLE_MPS2
+    expected = float(np.ceil(least)) if least <= 7.0 else INSUFFICIENT_MPS2
     assert demand(motorway, braking_mps2) == expected
 
 
@@ -44,22 +44,22 @@ def test_a_gentle_stop_that_takes_long_demands_more_than_is_seen_of_it(motorway:
 
 
 def test_nothing_helps_without_room(motorway: RoadMap) -> None:
-    assert demand(motorway, 8.5, gap_m=10.0) == UNANSWERABLE_MPS2
+    assert demand(motorway, 8.5, gap_m=10.0) == INSUFFICIENT_MPS2
 
 
 def test_who_comes_from_behind_has_not_the_gap_of_one_ahead(motorway: RoadMap) -> None:
     """9 m behind and faster, it is past the target by the time it stops there; the room counts from where it is."""
     v, faster, brakes, switch_s = 20.0, 10.0, 6.0, 4.0
     view = view_of(motorway, target=(0, 100.0, v), other=(1, 91.0, v + faster))
-    goal = view.neighbour(1, "right")
+    goal = view.neighbour_way(1, "right")
     assert goal is not None
     assert view.target is not None
     profile = SpeedProfile(0.0, switch_s, -brakes)
     cut_in = Manoeuvre("cut-in", 1, view.ways[1], profile, goal)
     futures = futures_of_manoeuvres([cut_in], np.array([v + faster]))
     stops_m = (v + faster) * switch_s + 0.5 * (v + faster) ** 2 / brakes
-    asks_s = cut_in.asks_s(view.scene.history.xy_m[1, -1])
-    driven_m = float(np.interp(asks_s + 0.75, FINE_TIMES_S, view.target.goes_on_m))
-    speed = float(np.interp(asks_s + 0.75, FINE_TIMES_S, view.target.goes_on_mps))
+    asks_s = cut_in.perceivable_s(view.scene.history.xy_m[1, -1])
+    driven_m = float(np.interp(asks_s + 0.75, FINE_TIMES_S, view.target.free_distance_m))
+    speed = float(np.interp(asks_s + 0.75, FINE_TIMES_S, view.target.free_speed_mps))
     least = 0.5 * speed**2 / (-9.0 - LENGTH_M + stops_m - 0.3 - driven_m)
     assert demanded_braking(view, view.target, [cut_in], futures)[0] == np.ceil(least)

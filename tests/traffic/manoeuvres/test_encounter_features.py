@@ -13,8 +13,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.encounter_features import (
     CIRCUMSTANCES,
     FEATURES,
-    as_if,
     encounter_features,
+    with_vehicle,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
@@ -59,7 +59,7 @@ def test_who_is_beside_and_who_needs_more_than_a_driver_has(motorway: RoadMap) -
 
 def test_who_is_revealed_counts(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 70.0, 10.0), stands=(0, 100.0, 0.0))
-    revealing = Manoeuvre("cut-out", 1, view.ways[1], reveals=2)
+    revealing = Manoeuvre("cut-out", 1, view.ways[1], revealed_row=2)
     (x,) = encounter_features(view, [revealing], np.array([3.0]))
     assert of(x, "stands") == 1.0
     assert of(x, "distance") == pytest.approx(50.0 / 30.0 - 1.0, abs=1e-3)
@@ -67,10 +67,10 @@ def test_who_is_revealed_counts(motorway: RoadMap) -> None:
 
 def test_the_same_with_another_vehicle() -> None:
     typical = np.zeros((2, len(FEATURES)))
-    lorry = as_if(typical, AgentClass.BUS, oncoming=True)
+    lorry = with_vehicle(typical, AgentClass.BUS, oncoming=True)
     assert {name for name in FEATURES if of(lorry[0], name)} == {"heavy", "oncoming"}
-    assert {name for name in FEATURES if of(as_if(lorry, AgentClass.CAR)[1], name)} == {"oncoming"}
-    assert {name for name in FEATURES if of(as_if(lorry, AgentClass.BICYCLE, False)[1], name)} == {
+    assert {name for name in FEATURES if of(with_vehicle(lorry, AgentClass.CAR)[1], name)} == {"oncoming"}
+    assert {name for name in FEATURES if of(with_vehicle(lorry, AgentClass.BICYCLE, False)[1], name)} == {
         "unprotected",
         "from_side",
     }

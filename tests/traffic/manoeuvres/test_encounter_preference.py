@@ -147,7 +147,7 @@ def test_what_keeps_a_far_better_encounter_away_does_not_begin(motorway: RoadMap
         (who_fails(heavy=6.0), False),
         (who_fails(1.0, heavy=6.0), True),
     ):
-        explored = preference.drawn(np.random.default_rng(0), {AgentClass.CAR: 1.0}, 1)[1]
+        explored = preference.draw(np.random.default_rng(0), {AgentClass.CAR: 1.0}, 1)[1]
         ranked = rank(view, proposals, {"hard-stop": 1.0}, preference=explored)
         assert any(not one.manoeuvre.sets_up for one in ranked) == begins
 

@@ -12,7 +12,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.follower import (
     FOLLOWS,
     braking_behind,
-    follows_still,
+    still_follows,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
@@ -66,9 +66,9 @@ def test_it_is_its_own_driver_again_where_the_target_brakes_sooner(motorway: Roa
     """
     view = behind(motorway, 2.0)
     brakes = Manoeuvre(FOLLOWS, 1, view.ways[1], SpeedProfile(then_mps2=-4.0))
-    assert follows_still(view, brakes)
+    assert still_follows(view, brakes)
     view.scene.history.speed_mps[0, -2] = 13.0
-    assert not follows_still(view, brakes)
+    assert not still_follows(view, brakes)
 
 
 def advanced(road: RoadMap, gap_m: float) -> tuple[list[Manoeuvre], Commitments]:

@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.answers import TargetWay, contact_share
-from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S, speeds_along, takes_bends
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S, can_slow_for_bends, speeds_along
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
@@ -20,9 +20,9 @@ def test_on_a_free_straight_the_speed_grows_by_half_a_metre_per_second_squared(m
     target = view_of(motorway, target=(0, 50.0, 20.0)).target
     assert target is not None
     assert speeds_along(target.way, 20.0)[-1] == pytest.approx(23.0)
-    assert target.goes_on_m[-1] == pytest.approx(129.0, abs=0.01)
-    assert target.reaches_s(60.0) == pytest.approx(2.9, abs=0.06)
-    assert target.reaches_s(500.0) == np.inf
+    assert target.free_distance_m[-1] == pytest.approx(129.0, abs=0.01)
+    assert target.arrival_s(60.0) == pytest.approx(2.9, abs=0.06)
+    assert target.arrival_s(500.0) == np.inf
 
 
 def test_a_speed_above_the_limit_is_kept(motorway: RoadMap) -> None:
@@ -36,7 +36,7 @@ def test_who_brakes_stops_where_it_should(motorway: RoadMap) -> None:
     """From 20 m/s at 8 m/s² at once: 25 m."""
     target = view_of(motorway, target=(0, 50.0, 20.0)).target
     assert target is not None
-    driven, speed = target.brakes((8.0, 0.0), 0.0)
+    driven, speed = target.braked_motion((8.0, 0.0), 0.0)
     assert driven[:, -1] == pytest.approx([25.0, 129.0], abs=0.05)
     assert speed[0, -1] == 0.0
 
@@ -61,10 +61,10 @@ def test_who_turns_slows_for_the_bend(downtown: RoadMap) -> None:
         yaw = bend.line.segment_yaw_rad
         turned = abs((float(yaw[-1] - yaw[0]) + np.pi) % (2.0 * np.pi) - np.pi)
         slowest = min(float(np.sqrt(2.5 * bend.length_m / turned)), bend.speed_mps)
-        inside = (target.goes_on_m > 25.2) & (target.goes_on_m < 24.8 + bend.length_m)
+        inside = (target.free_distance_m > 25.2) & (target.free_distance_m < 24.8 + bend.length_m)
         assert inside.any()
         assert np.diff(speeds_along(target.way, 11.0)).min() > -4.01 * FINE_TIMES_S[1]
-        assert target.goes_on_mps[inside].max() < slowest + 0.3
+        assert target.free_speed_mps[inside].max() < slowest + 0.3
 
 
 def test_a_contact_that_needs_no_timing_is_certain(motorway: RoadMap) -> None:
@@ -98,6 +98,6 @@ def test_who_can_still_slow_for_a_bend_takes_it(downtown: RoadMap) -> None:
     turned = abs(float(bend.line.segment_yaw_rad[-1] - bend.line.segment_yaw_rad[0]))
     in_bend = 4.0 * bend.length_m / turned
     for driven, most in ((10.0, np.sqrt(in_bend + 150.0)), (36.0, np.sqrt(in_bend))):
-        assert takes_bends(way, driven, 0.99 * most)
-        assert not takes_bends(way, driven, 1.01 * most)
-    assert takes_bends(way, 36.0 + bend.length_m, 20.0), "the bend is behind"
+        assert can_slow_for_bends(way, driven, 0.99 * most)
+        assert not can_slow_for_bends(way, driven, 1.01 * most)
+    assert can_slow_for_bends(way, 36.0 + bend.length_m, 20.0), "the bend is behind"

@@ -14,14 +14,14 @@ from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.graded import (
     AFTER_ENTRY_MPS2,
     GAP_TOLERANCE_M,
-    arrives_before_s,
-    braking_with,
-    closeness,
-    graded,
+    arrival_lead_s,
+    severity_match,
     target_brakes,
+    with_braking,
+    with_severity,
 )
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
-from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_spare_m
+from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -39,35 +39,35 @@ def test_an_asked_braking_replaces_that_of_the_manoeuvre_alone(motorway: RoadMap
     stop, closing = (
         next(m for m in KINDS["hard-stop"](view, 1) if m.sets_up is sets_up) for sets_up in (False, True)
     )
-    assert braking_with(stop, 2.5).profile.then_mps2 == -2.5
-    assert braking_with(stop, None) is stop
-    assert braking_with(closing, 2.5) is closing
+    assert with_braking(stop, 2.5).profile.then_mps2 == -2.5
+    assert with_braking(stop, None) is stop
+    assert with_braking(closing, 2.5) is closing
     go = next(KINDS["stop-and-go"](view, 1))
-    assert (braking_with(go, 3.0).profile.first_mps2, braking_with(go, 3.0).profile.then_mps2) == (-3.0, 1.5)
+    assert (with_braking(go, 3.0).profile.first_mps2, with_braking(go, 3.0).profile.then_mps2) == (-3.0, 1.5)
     crosses = Manoeuvre("crossing", 1, view.ways[1], SpeedProfile(-2.0, 1.5))
-    assert braking_with(crosses, 8.0) is crosses
+    assert with_braking(crosses, 8.0) is crosses
 
 
 def test_somebody_cuts_in_where_the_gap_is_the_asked_one(motorway: RoadMap) -> None:
     """Who keeps the target's speed leaves as much more as it is further ahead; 3 m more than asked are accepted."""
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
     change = next(m for m in cut_ins(view) if m.goal is not None)
-    spare = entry_spare_m(view, 1, 0, 0.0, LAWFUL)
+    spare = entry_margin_m(view, 1, 0, 0.0, LAWFUL)
     further = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 95.0, 20.0))
-    assert entry_spare_m(further, 1, 0, 0.0, LAWFUL) == pytest.approx(spare + 5.0, abs=0.01)
+    assert entry_margin_m(further, 1, 0, 0.0, LAWFUL) == pytest.approx(spare + 5.0, abs=0.01)
     driven = 20.0 * CHECK_TIMES_S
     for asked, near in ((spare - 1.0, 1.0), (spare + 1.0, 0.0), (spare - GAP_TOLERANCE_M - 1.0, 0.0)):
-        assert closeness(view, change, driven, Intensity(spare_gap_m=asked)) == near
-    assert closeness(view, change, driven, Intensity()) is None
+        assert severity_match(view, change, driven, Intensity(spare_gap_m=asked)) == near
+    assert severity_match(view, change, driven, Intensity()) is None
 
 
 def test_who_is_asked_for_a_gap_gets_into_position_for_it_and_stops_alike(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
-    far, near = (list(graded(view, cut_ins(view), Intensity(spare_gap_m=gap))) for gap in (20.0, 0.0))
+    far, near = (list(with_severity(view, cut_ins(view), Intensity(spare_gap_m=gap))) for gap in (20.0, 0.0))
     assert [m.profile.then_mps2 for m in far if m.goal is not None] == [-AFTER_ENTRY_MPS2]
     ahead, behind = (next(m for m in some if m.sets_up).profile.first_mps2 for some in (far, near))
     assert ahead > behind
-    assert list(graded(view, cut_ins(view), Intensity())) == cut_ins(view)
+    assert list(with_severity(view, cut_ins(view), Intensity())) == cut_ins(view)
     wanted = rank(view, far, {"cut-in": 1.0}, intensity=Intensity(spare_gap_m=20.0))
     assert wanted[0].manoeuvre.sets_up
 
@@ -76,12 +76,12 @@ def test_a_leader_leaves_so_long_before_it_would_reach_who_stands(motorway: Road
     """Its front is 23.5 m, 2.35 s, behind who stands: it waits 0.85 s to leave 1.5 s before, and is late for 2.5 s."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
     leaves = list(KINDS["cut-out"](view, 1))
-    late = list(graded(view, leaves, Intensity(reveals_s=1.5)))
+    late = list(with_severity(view, leaves, Intensity(reveals_s=1.5)))
     assert [m.delay_s for m in late] == pytest.approx([0.85] * len(late))
-    assert [m.reveals for m in late] == [2] * len(late) != []
-    assert closeness(view, late[0], 10.0 * CHECK_TIMES_S, Intensity(reveals_s=1.5)) == 1.0
-    assert list(graded(view, leaves, Intensity(reveals_s=2.5))) == []
-    assert list(graded(view, leaves, Intensity(early_s=0.5))) == leaves
+    assert [m.revealed_row for m in late] == [2] * len(late) != []
+    assert severity_match(view, late[0], 10.0 * CHECK_TIMES_S, Intensity(reveals_s=1.5)) == 1.0
+    assert list(with_severity(view, leaves, Intensity(reveals_s=2.5))) == []
+    assert list(with_severity(view, leaves, Intensity(early_s=0.5))) == leaves
 
 
 def test_a_target_that_brakes(motorway: RoadMap) -> None:
@@ -143,7 +143,7 @@ def test_how_long_before_the_target_somebody_crosses(encounters: dict[str, Encou
         seed = Encounter(road, Scripted(north, 262.0, 11.0), ("south_in", "north_out"), (other,)).scene()
         routes = (("south_in", "north_out"), ("west_in", "east_out"))
         scene = Scene(seed.history, 0, np.array([False, True]), routes, {})
-        return arrives_before_s(SituationView.of(road, scene), 1, 11.0 * CHECK_TIMES_S)
+        return arrival_lead_s(SituationView.of(road, scene), 1, 11.0 * CHECK_TIMES_S)
 
     level, earlier = before_s(0.0), before_s(11.0)
     assert level is not None

@@ -18,7 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, fu
 from advdiff_sumo.traffic.manoeuvres.repertoire import AFTER_CUT_IN_MPS2, KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfile
-from advdiff_sumo.traffic.manoeuvres.ways import settling
+from advdiff_sumo.traffic.manoeuvres.ways import settling_offsets_m
 from tests.traffic.manoeuvres.scenes import LENGTH_M, WIDTH_M, view_of
 
 SPEED_MPS, PLANS = 20.0, 12
@@ -27,23 +27,25 @@ SPEED_MPS, PLANS = 20.0, 12
 def test_half_of_a_change_by_hand() -> None:
     """3 m in 3 s from rest: half way after 1.5 s, there at one and a half times the mean speed, at the end at rest."""
     share = np.array([0.0, 0.5, 1.0, 2.0])
-    np.testing.assert_allclose(settling(3.0, 0.0, 3.0 * share, 3.0), [3.0, 1.5, 0.0, 0.0])
-    np.testing.assert_allclose(settling(1.5, -1.5, 1.5 * share, 1.5), [1.5, 0.46875, 0.0, 0.0])
+    np.testing.assert_allclose(settling_offsets_m(3.0, 0.0, 3.0 * share, 3.0), [3.0, 1.5, 0.0, 0.0])
+    np.testing.assert_allclose(settling_offsets_m(1.5, -1.5, 1.5 * share, 1.5), [1.5, 0.46875, 0.0, 0.0])
 
 
 @given(st.floats(0.1, 4.0), st.floats(-3.0, 3.0), st.floats(0.5, 4.0), st.floats(0.0, 0.9))
 def test_the_rest_of_a_change_is_what_was_planned(
     offset_m: float, drift_mps: float, lasts_s: float, passed: float
 ) -> None:
-    whole = settling(offset_m, drift_mps, np.linspace(0.0, lasts_s, 1001), lasts_s)
+    whole = settling_offsets_m(offset_m, drift_mps, np.linspace(0.0, lasts_s, 1001), lasts_s)
     assert whole.min() >= 0.0  # it does not cross the line
     begin = round(1000 * passed)
     left_s = lasts_s * (1.0 - begin / 1000)
     slope = float(np.gradient(whole, lasts_s / 1000)[begin]) if begin else drift_mps
-    rest = settling(float(whole[begin]), slope, np.linspace(0.0, left_s, 1001 - begin), left_s)
+    rest = settling_offsets_m(float(whole[begin]), slope, np.linspace(0.0, left_s, 1001 - begin), left_s)
     np.testing.assert_allclose(rest, whole[begin:], atol=0.02)
     np.testing.assert_allclose(
-        settling(-offset_m, -drift_mps, np.array([passed * lasts_s]), lasts_s), -whole[[begin]], atol=0.02
+        settling_offsets_m(-offset_m, -drift_mps, np.array([passed * lasts_s]), lasts_s),
+        -whole[[begin]],
+        atol=0.02,
     )
 
 
@@ -103,12 +105,12 @@ def test_drift_is_told_by_places_on_the_lane_alone(motorway: RoadMap) -> None:
     places = np.array([20.0, 25.0, 30.0])
     left = np.array([1.6, 0.9, 0.4])  # 0.7 m, then 0.5 m: at 0.8 m/s now
     past = way.line.at(places, left)[0]
-    assert way.moving(past, 0.5).drift_mps == pytest.approx((3 * 0.4 - 4 * 0.9 + 1.6) / 1.0)
-    assert way.moving(past[1:], 0.5).drift_mps == pytest.approx(-1.0)
-    assert way.moving(past[2:], 0.5).drift_mps == 0.0
+    assert way.with_drift(past, 0.5).drift_mps == pytest.approx((3 * 0.4 - 4 * 0.9 + 1.6) / 1.0)
+    assert way.with_drift(past[1:], 0.5).drift_mps == pytest.approx(-1.0)
+    assert way.with_drift(past[2:], 0.5).drift_mps == 0.0
     before = way.line.at(np.array([-15.0, -5.0, 5.0]), left, extrapolate=True)[0]
-    assert way.moving(before, 0.5).drift_mps == 0.0
-    assert way.moving(np.full((3, 2), np.nan), 0.5).drift_mps == 0.0
+    assert way.with_drift(before, 0.5).drift_mps == 0.0
+    assert way.with_drift(np.full((3, 2), np.nan), 0.5).drift_mps == 0.0
 
 
 def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
@@ -124,8 +126,11 @@ def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
         (SpeedProfile(switch_s=0.5, then_mps2=-5.0), enters),
         (SpeedProfile(first_mps2=-2.0, switch_s=2.0, then_mps2=-5.0), enters),
     ):
-        assert replace(change, profile=profile).asks_s(xy) == asks
-    assert replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).asks_s(xy) == 0.0
+        assert replace(change, profile=profile).perceivable_s(xy) == asks
+    assert (
+        replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).perceivable_s(xy)
+        == 0.0
+    )
 
 
 def test_who_cuts_in_slows_once_its_box_is_in_the_lane(motorway: RoadMap) -> None:
@@ -135,7 +140,7 @@ def test_who_cuts_in_slows_once_its_box_is_in_the_lane(motorway: RoadMap) -> Non
     for change in slows:
         assert change.goal is not None
         across = float(change.goal.line.project(view.scene.history.xy_m[1, -1])[1])
-        left = abs(float(change.offsets(across, np.array([change.profile.switch_s]))[0]))
+        left = abs(float(change.goal_offsets_m(across, np.array([change.profile.switch_s]))[0]))
         assert left < 0.5 * (change.goal.present_lane.width_m - WIDTH_M)
 
 
@@ -159,7 +164,7 @@ def test_who_stands_askew_in_a_change_is_expected_to_stay_so(motorway: RoadMap) 
     xy_m, yaw_rad = history.xy_m.copy(), history.yaw_rad + np.array([[0.0], [0.6], [0.0]])
     xy_m[1:] += 1.2 * np.stack((-np.sin(history.yaw_rad[1:]), np.cos(history.yaw_rad[1:])), axis=-1)
     scene = replace(view.scene, history=replace(history, xy_m=xy_m, yaw_rad=yaw_rad))
-    xy, yaw = SituationView.of(motorway, scene).coasting(np.array([1, 2]))
+    xy, yaw = SituationView.of(motorway, scene).constant_speed_poses(np.array([1, 2]))
     np.testing.assert_array_equal(xy[0], np.broadcast_to(xy_m[1, -1], xy[0].shape))
     np.testing.assert_array_equal(yaw[0], yaw_rad[1, -1])
     assert abs(view.ways[2].line.project(xy[1, -1])[1]) < 0.01

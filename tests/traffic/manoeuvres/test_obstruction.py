@@ -12,7 +12,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS, blocked_since, waiting
+from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS, blocked_since, waiting_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.schedule import advance
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import long_lane, scene_on
@@ -36,7 +36,7 @@ def _moved(scene: Scene, xy_m: object, turned_rad: float) -> Scene:
 
 def braked(view: SituationView) -> list[float]:
     """Return how hard who has seen the target for a second brakes."""
-    return [-m.profile.then_mps2 for m in waiting(view, blocked_since(view, {"other": -1.0}))]
+    return [-m.profile.then_mps2 for m in waiting_manoeuvres(view, blocked_since(view, {"other": -1.0}))]
 
 
 def test_who_would_run_into_a_box_that_reaches_over_stops_a_metre_short(motorway: RoadMap) -> None:
@@ -62,7 +62,7 @@ def test_far_from_it_and_past_it_sumo_drives(motorway: RoadMap, other: tuple[flo
 def test_a_free_way_is_left_to_sumo(motorway: RoadMap) -> None:
     view = beside(motorway, 0.0, (70.0, 12.0))
     assert blocked_since(view, {}) == {}
-    assert waiting(view, {}) == []
+    assert waiting_manoeuvres(view, {}) == []
 
 
 @pytest.mark.parametrize(
@@ -84,10 +84,10 @@ def test_it_reacts_stands_and_goes_on(motorway: RoadMap) -> None:
     """It is seen at 0 s and answered after 0.75 s; who stands stays, until the target has left."""
     view = beside(motorway, 1.5, (70.0, 12.0))
     assert blocked_since(view, {}) == {"other": 0.0}
-    assert waiting(view, {"other": -0.5}) == []
-    assert len(waiting(view, {"other": -0.75})) == 1
+    assert waiting_manoeuvres(view, {"other": -0.5}) == []
+    assert len(waiting_manoeuvres(view, {"other": -0.75})) == 1
     stands = beside(motorway, 1.5, (94.25, 0.0))
-    assert len(waiting(stands, blocked_since(stands, {"other": -3.0}))) == 1
+    assert len(waiting_manoeuvres(stands, blocked_since(stands, {"other": -3.0}))) == 1
     assert braked(beside(motorway, 0.0, (94.25, 0.0))) == []
 
 

@@ -10,8 +10,8 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, from_ahead
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches, turning_mps
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, filter_oncoming
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import priority_approaches, turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.schedule import let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -50,7 +50,7 @@ def before(road: RoadMap, route: tuple[str, str], *others: tuple[tuple[str, str]
 
 def test_who_turns_left_meets_oncoming_traffic_alone(sign: RoadMap) -> None:
     """From the west to the north: the east goes first, and the south and the north have to wait themselves."""
-    met = list(approaches(before(sign, LEFT), True, None, True))
+    met = list(priority_approaches(before(sign, LEFT), True, None, True))
     assert met
     assert {one.way.present_lane.id for one in met} == {"east_in_0"}
     assert {one.way.links[0][1].direction for one in met} == {"s"}
@@ -59,48 +59,48 @@ def test_who_turns_left_meets_oncoming_traffic_alone(sign: RoadMap) -> None:
 def test_where_traffic_keeps_left_who_turns_right_meets_it(folder: Path) -> None:
     nodes, edges = CROSSING[0].format(kind="priority"), CROSSING[1]
     road = RoadMap.read(build(folder, nodes, edges, name="left", lefthand=True))
-    met = list(approaches(before(road, ("west_in", "south_out")), True, None, True))
+    met = list(priority_approaches(before(road, ("west_in", "south_out")), True, None, True))
     assert {one.way.present_lane.id for one in met} == {"east_in_0"}
-    assert not list(approaches(before(road, LEFT), True, None, True))
+    assert not list(priority_approaches(before(road, LEFT), True, None, True))
 
 
 @pytest.mark.parametrize("route", [NORTH, STRAIGHT])
 def test_nobody_comes_from_ahead_who_has_no_priority(route: tuple[str, str], sign: RoadMap) -> None:
     """From the south those of the main road come from the sides; on it, who would turn across it has to wait."""
     view = before(sign, route)
-    assert bool(list(approaches(view, True))) == (route == NORTH)
-    assert not list(approaches(view, True, None, True))
+    assert bool(list(priority_approaches(view, True))) == (route == NORTH)
+    assert not list(priority_approaches(view, True, None, True))
     kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
     assert let_in(view, kept)[0] == ()
 
 
 def test_who_turns_on_a_bending_main_road_is_as_slow_as_the_bend(bend: RoadMap) -> None:
     """A quarter turn of 14.2 m has a radius of 9 m: 2.5 m/s² sideways allow 4.75 m/s, a little more between corners."""
-    met = list(approaches(before(bend, STRAIGHT), True, None, True))
+    met = list(priority_approaches(before(bend, STRAIGHT), True, None, True))
     assert {one.way.links[0][1].direction for one in met} == {"l"}
     link = met[0].way.links[0][1]
-    assert turning_mps(bend, link) == pytest.approx(4.75, abs=0.6)
-    assert max(one.speed_mps for one in met) <= turning_mps(bend, link)
+    assert turn_speed_mps(bend, link) == pytest.approx(4.75, abs=0.6)
+    assert max(one.speed_mps for one in met) <= turn_speed_mps(bend, link)
     straight = next(x for x in bend.lanes["east_in_0"].successors if x.direction == "s")
-    assert turning_mps(bend, straight) == pytest.approx(13.89)
+    assert turn_speed_mps(bend, straight) == pytest.approx(13.89)
 
 
 def test_only_who_comes_from_ahead_begins(sign: RoadMap) -> None:
     ahead = before(sign, LEFT, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](ahead, 1))
     assert crossings
-    assert list(from_ahead(ahead, crossings, alone=True)) == crossings
+    assert list(filter_oncoming(ahead, crossings, alone=True)) == crossings
     aside = before(sign, NORTH, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](aside, 1))
     assert crossings
-    assert list(from_ahead(aside, crossings, alone=True)) == []
-    assert list(from_ahead(aside, crossings, alone=False)) == crossings
+    assert list(filter_oncoming(aside, crossings, alone=True)) == []
+    assert list(filter_oncoming(aside, crossings, alone=False)) == crossings
 
 
 @pytest.mark.parametrize(("speed_mps", "begins"), [(5.0, True), (11.0, False)])
 def test_nobody_begins_to_turn_faster_than_its_bend(speed_mps: float, begins: bool, bend: RoadMap) -> None:
     view = before(bend, STRAIGHT, (("east_in", "south_out"), speed_mps))
-    timed = list(from_ahead(view, KINDS["crossing"](view, 1), alone=True))
+    timed = list(filter_oncoming(view, KINDS["crossing"](view, 1), alone=True))
     assert bool(timed) == begins
     assert all(one.profile.highest_mps < 6.0 for one in timed)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.agenda import waits_at_red
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.agenda import has_red_ahead
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since, is_due
-from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, leads_steadily
+from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since, is_seen_long_enough
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, steady_lead_profile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
@@ -25,8 +25,8 @@ def test_a_stop_is_due_after_three_seconds_in_view(
 ) -> None:
     view = view_of(motorway, time_s=time_s, target=(0, 50.0, 10.0), leader=(0, 75.0, 10.0))
     stop = Manoeuvre("hard-stop", 1, view.ways[1])
-    assert is_due(view, stop, {"leader": since_s}) is due
-    assert is_due(view, replace(stop, sets_up=True), {"leader": since_s})
+    assert is_seen_long_enough(view, stop, {"leader": since_s}) is due
+    assert is_seen_long_enough(view, replace(stop, sets_up=True), {"leader": since_s})
 
 
 def test_a_change_of_lanes_may_begin_so_much_earlier_as_it_takes_to_the_line(motorway: RoadMap) -> None:
@@ -35,7 +35,7 @@ def test_a_change_of_lanes_may_begin_so_much_earlier_as_it_takes_to_the_line(mot
         view = view_of(motorway, time_s=time_s, target=(0, 50.0, 20.0), other=(1, 90.0, 20.0))
         change = next(m for m in KINDS["cut-in"](view, 1) if m.goal is not None)
         assert 1.0 <= change.enters_s(view.scene.history.xy_m[1, -1]) < 1.5
-        assert is_due(view, change, {"other": 0.0}) is due
+        assert is_seen_long_enough(view, change, {"other": 0.0}) is due
 
 
 def test_somebody_is_in_view_since_it_came(motorway: RoadMap) -> None:
@@ -56,7 +56,7 @@ def test_a_leader_gets_to_a_second_and_a_half_ahead(
     """
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 50.0 + LENGTH_M + gap_m, leads_mps))
     assert view.target is not None
-    assert leads_steadily(view, view.target, 1).first_mps2 == pytest.approx(accel_mps2, abs=0.01)
+    assert steady_lead_profile(view, view.target, 1).first_mps2 == pytest.approx(accel_mps2, abs=0.01)
 
 
 def test_who_gets_into_position_may_come_near_a_red_light_that_it_can_stop_at(downtown: RoadMap) -> None:
@@ -73,5 +73,5 @@ def test_who_gets_into_position_may_come_near_a_red_light_that_it_can_stop_at(do
         view = SituationView.of(downtown, replace(scene, signals={link.tls_id or "": "r" * 60}))
         goes_on = Manoeuvre("hard-stop", 1, view.ways[1], sets_up=True)
         futures = futures_of_manoeuvres([goes_on], np.array([10.0]))
-        assert bool(lawful(view, [goes_on], futures)[0]) is allowed
-        assert waits_at_red(view) is (lane.length_m - 5.0 < 80.0)
+        assert bool(lawful_mask(view, [goes_on], futures)[0]) is allowed
+        assert has_red_ahead(view) is (lane.length_m - 5.0 < 80.0)

@@ -11,12 +11,12 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import CARELESS, LAWFUL
-from advdiff_sumo.traffic.manoeuvres.answers import UNANSWERABLE_MPS2
+from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.continuation import carry_on
+from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -25,8 +25,8 @@ from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     PULLS_OUT_MPS,
     SETS_OFF_MPS2,
     SLOW_MERGE,
-    begins_m,
-    may_wait,
+    can_begin_later,
+    entry_gap_m,
     pull_out,
     slow_body,
     slow_merge,
@@ -45,7 +45,7 @@ def merges(
 
 def is_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: object = LAWFUL) -> bool:
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
-    return bool(lawful(view, [manoeuvre], futures, licence)[0])  # type: ignore[arg-type] - a licence
+    return bool(lawful_mask(view, [manoeuvre], futures, licence)[0])  # type: ignore[arg-type] - a licence
 
 
 def demand(view: SituationView, manoeuvre: Manoeuvre) -> float:
@@ -60,14 +60,14 @@ def test_the_kinds_of_any_and_of_warm_ups_stay_as_they_are() -> None:
 
 def test_the_gap_to_begin_with_by_hand() -> None:
     """Target 14 m/s, other 3.5: 0.75 · 14.5 + (14.5² - 3.5²) / 12 = 27.375 m, a tenth and 1 m more, 0.4 s at 10.5."""
-    assert begins_m(14.0, 3.5, 3.5, 0.4) == pytest.approx(1.1 * 27.375 + 1.0 + 4.2)
+    assert entry_gap_m(14.0, 3.5, 3.5, 0.4) == pytest.approx(1.1 * 27.375 + 1.0 + 4.2)
 
 
 @pytest.mark.parametrize(("spare_m", "allowed"), [(-0.5, False), (0.5, True)])
 def test_who_merges_slowly_leaves_the_lawful_gap(spare_m: float, allowed: bool, motorway: RoadMap) -> None:
     view, change = merges(motorway, 40.0, 14.0, 3.5)
     enters = change.enters_s(view.scene.history.xy_m[1, -1])
-    view, change = merges(motorway, begins_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
+    view, change = merges(motorway, entry_gap_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
     assert is_lawful(view, change) is allowed
     assert is_lawful(view, change, CARELESS)
 
@@ -104,7 +104,7 @@ def test_who_is_too_fast_slows_gently_where_there_is_room_for_it(motorway: RoadM
 
 @pytest.mark.parametrize(
     ("gap_m", "braking_mps2", "within_six_s"),
-    [(60.0, 1.0, 0.0), (45.0, 2.0, 1.0), (20.0, 4.0, 4.0), (9.0, UNANSWERABLE_MPS2, UNANSWERABLE_MPS2)],
+    [(60.0, 1.0, 0.0), (45.0, 2.0, 1.0), (20.0, 4.0, 4.0), (9.0, INSUFFICIENT_MPS2, INSUFFICIENT_MPS2)],
 )
 def test_what_a_slow_leader_demands(
     gap_m: float, braking_mps2: float, within_six_s: float, motorway: RoadMap
@@ -128,8 +128,8 @@ def test_a_target_that_gains_speed_is_expected_to_go_on(motorway: RoadMap) -> No
 def test_who_is_slow_gets_aside_by_driving_on(motorway: RoadMap) -> None:
     """A metre aside takes four metres at least: half as fast, twice as long; who stands stays."""
     view, change = merges(motorway, 40.0, 14.0, 3.5)
-    assert change.changing_s(2.2 * CHECK_TIMES_S, CHECK_TIMES_S) == pytest.approx(0.5 * CHECK_TIMES_S)
-    assert change.changing_s(10.0 * CHECK_TIMES_S, CHECK_TIMES_S) == pytest.approx(CHECK_TIMES_S)
+    assert change.change_time_s(2.2 * CHECK_TIMES_S, CHECK_TIMES_S) == pytest.approx(0.5 * CHECK_TIMES_S)
+    assert change.change_time_s(10.0 * CHECK_TIMES_S, CHECK_TIMES_S) == pytest.approx(CHECK_TIMES_S)
     future = futures_of_manoeuvres([change], np.array([3.5]))
     along = float(view.scene.history.yaw_rad[1, -1])
     assert (
@@ -141,8 +141,8 @@ def test_a_long_nose_is_over_the_line_before_the_careful_driver_counts_it(motorw
     view, change = merges(motorway, 40.0, 14.0, 3.5)
     here = view.scene.history.xy_m[1, -1]
     bus = replace(change, body=replace(slow_body(view, 1), length_m=12.0, width_m=1.8))
-    assert bus.enters_s(here) < change.enters_s(here) < change.asks_s(here)
-    assert bus.asks_s(here) == change.asks_s(here)
+    assert bus.enters_s(here) < change.enters_s(here) < change.perceivable_s(here)
+    assert bus.perceivable_s(here) == change.perceivable_s(here)
 
 
 @pytest.mark.parametrize(("target", "other", "offered"), [(1, 0, True), (0, 1, False)])
@@ -175,7 +175,7 @@ def test_who_pulls_out_leaves_the_lawful_gap(gap_m: float, allowed: bool, motorw
     view = view_of(motorway, target=(1, 50.0, 8.0), other=(0, 50.0 + LENGTH_M + gap_m, 0.0))
     one = list(pull_out(view, 1))[1]
     enters = one.enters_s(view.scene.history.xy_m[1, -1])
-    mean, speed = one.until(enters, 0.0)
+    mean, speed = one.mean_and_end_speed(enters, 0.0)
     assert (mean, speed) == pytest.approx((0.9 * enters, 1.8 * enters), rel=0.1)
     lawful_m = 1.1 * (0.75 * 8.5 + (8.5**2 - speed**2) / 12.0) + 1.0 + enters * (8.0 - mean)
     assert (gap_m > lawful_m) is allowed
@@ -187,9 +187,9 @@ def test_it_waits_while_it_could_enter_lawfully_and_answerably_later(motorway: R
     for spare_m, waits in ((5.5, True), (5.0, False)):
         view, change = merges(motorway, 40.0, 14.0, 3.5)
         enters = change.enters_s(view.scene.history.xy_m[1, -1])
-        view, change = merges(motorway, begins_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
-        assert may_wait(view, change, 2.0, LAWFUL) is waits
-        assert not may_wait(view, change, 5.0, LAWFUL)
+        view, change = merges(motorway, entry_gap_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
+        assert can_begin_later(view, change, 2.0, LAWFUL) is waits
+        assert not can_begin_later(view, change, 5.0, LAWFUL)
 
 
 def test_more_than_a_careful_driver_can_answer_is_not_chosen(motorway: RoadMap) -> None:
@@ -210,7 +210,9 @@ def carried_on(road: RoadMap, gap_m: float, aside_m: float) -> list[Manoeuvre]:
     view.scene.history.xy_m[1] += lane.line.at(place, aside_m)[0] - view.scene.history.xy_m[1, -1]
     view = SituationView.of(road, view.scene)
     merging = Commitment(SLOW_MERGE, SpeedProfile(), 4.0, 4.5, sets_up=False, goal_lane=lane.id)
-    return carry_on(view, Commitments({SLOW_MERGE: 1.0}, active={"other": merging}), 8.0, LAWFUL)[0]
+    return continue_manoeuvres(view, Commitments({SLOW_MERGE: 1.0}, active={"other": merging}), 8.0, LAWFUL)[
+        0
+    ]
 
 
 @pytest.mark.parametrize(

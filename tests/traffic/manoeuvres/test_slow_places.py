@@ -12,11 +12,11 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.manoeuvres import commitments
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda, is_possible
-from advdiff_sumo.traffic.manoeuvres.commitments import OF_ANY, Commitments
+from advdiff_sumo.traffic.manoeuvres.commitments import ANY_KINDS, Commitments
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.slow_places import can_come_beside, comes_beside
+from advdiff_sumo.traffic.manoeuvres.slow_places import can_insert_slow_vehicle, insert_slow_vehicle
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import StandingTraffic
 from tests.traffic.manoeuvres.scenes import long_lane, scene_on, view_of
@@ -25,7 +25,7 @@ STAGE = StagingMemory(most=6, classes=(AgentClass.TRUCK,))
 
 
 def who_comes(view: SituationView, kind: str, stage: StagingMemory = STAGE) -> tuple[Newcomer, ...]:
-    return comes_beside(view, stage, StandingTraffic(), kind)[0].members
+    return insert_slow_vehicle(view, stage, StandingTraffic(), kind)[0].members
 
 
 def place(road: RoadMap, one: Newcomer) -> tuple[str, float]:
@@ -59,7 +59,7 @@ def test_ahead_of_a_fast_target_it_is_less_slow(motorway: RoadMap) -> None:
 
 def test_a_bus_stands_at_the_kerb_first(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(1, 50.0, 9.0))
-    standing, stage = comes_beside(view, STAGE, StandingTraffic(), "pull-out")
+    standing, stage = insert_slow_vehicle(view, STAGE, StandingTraffic(), "pull-out")
     (one,) = standing.members
     assert (one.agent_class, one.speed_mps, one.name) == (AgentClass.BUS, 0.0, "staged-0")
     assert one.size_of(one.agent_class) == (12.0, 2.5)
@@ -108,7 +108,7 @@ def test_nobody_comes_in(
     view = view_of(motorway, target=(0, 50.0, 9.0), **cars)
     assert not who_comes(view, "slow-merge", stage)
     slow = view_of(motorway, target=(0, 50.0, 5.0))
-    assert not can_come_beside(slow, "slow-merge")
+    assert not can_insert_slow_vehicle(slow, "slow-merge")
 
 
 def test_who_has_begun_stands_for_it_no_longer(motorway: RoadMap) -> None:
@@ -129,10 +129,10 @@ def test_who_has_begun_stands_for_it_no_longer(motorway: RoadMap) -> None:
 
 
 def test_any_is_without_them_until_it_is_said(motorway: RoadMap) -> None:
-    assert tuple(KINDS) == OF_ANY
-    drawn = [Agenda.drawn(np.random.default_rng(k)).order for k in range(40)]
+    assert tuple(KINDS) == ANY_KINDS
+    drawn = [Agenda.draw(np.random.default_rng(k)).order for k in range(40)]
     assert not set(SLOW_ENTRIES) & {kind for order in drawn for kind in order}
-    asked = [Agenda.drawn(np.random.default_rng(k), SLOW_ENTRIES).order for k in range(40)]
+    asked = [Agenda.draw(np.random.default_rng(k), SLOW_ENTRIES).order for k in range(40)]
     assert [tuple(kind for kind in order if kind not in SLOW_ENTRIES) for order in asked] == drawn
     assert {kind for order in asked for kind in order} >= set(SLOW_ENTRIES)
     free, led = (
@@ -148,7 +148,7 @@ def test_one_line_makes_them_part_of_any(motorway: RoadMap, monkeypatch: pytest.
     """They have turns at first, in which who is to enter slowly comes in."""
     free = view_of(motorway, target=(1, 50.0, 9.0))
     before = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
-    monkeypatch.setattr(commitments, "OF_ANY", (*KINDS, *SLOW_ENTRIES))
+    monkeypatch.setattr(commitments, "ANY_KINDS", (*KINDS, *SLOW_ENTRIES))
     after = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
     assert {kind for kept in before for kind in kept.weights} == set(KINDS)
     assert all(set(kept.weights) == {*KINDS, *SLOW_ENTRIES} for kept in after)

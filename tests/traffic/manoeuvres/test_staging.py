@@ -14,8 +14,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import approaches
-from advdiff_sumo.traffic.manoeuvres.repertoire import hard_stop, into_position
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import priority_approaches
+from advdiff_sumo.traffic.manoeuvres.repertoire import hard_stop, positioning_profile
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import (
@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.staging import (
     Newcomer,
     StagingMemory,
     _is_free,
-    come_in,
+    insert_newcomers,
     plan_with,
 )
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
@@ -32,7 +32,9 @@ from tests.traffic.manoeuvres.scenes import scene_on, view_of
 def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
     """At 10 m/s, 1.5 s and 8 m ahead: 23 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    (leader,), stage = come_in(view, StagingMemory(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",))
+    (leader,), stage = insert_newcomers(
+        view, StagingMemory(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",)
+    )
     assert leader.agent_class is AgentClass.TRUCK
     assert leader.speed_mps == 10.0
     assert view.target is not None
@@ -48,7 +50,7 @@ def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
         ({"leader": (0, 90.0, 10.0)}, StagingMemory(most=3)),
         ({"beside": (1, 80.0, 10.0)}, StagingMemory(most=0)),
         ({}, StagingMemory(most=3, count=3)),
-        ({}, StagingMemory(most=3, again_s=1.0)),
+        ({}, StagingMemory(most=3, next_try_s=1.0)),
     ],
 )
 def test_nobody_comes_in(
@@ -56,12 +58,12 @@ def test_nobody_comes_in(
 ) -> None:
     """There is a leader; nobody may; all that may have; it is not the time."""
     view = view_of(motorway, target=(0, 50.0, 10.0), **cars)
-    assert come_in(view, stage, ("hard-stop",))[0] == ()
+    assert insert_newcomers(view, stage, ("hard-stop",))[0] == ()
 
 
 def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
-    (other,), _ = come_in(view, StagingMemory(most=3), ("cut-in",))
+    (other,), _ = insert_newcomers(view, StagingMemory(most=3), ("cut-in",))
     assert view.target is not None
     ahead, left = view.target.way.line.project(other.xy_m)
     assert 2.5 < abs(float(left)) < 4.5
@@ -71,7 +73,7 @@ def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
 def test_who_comes_in_ahead_of_a_fast_target_is_its_leader(motorway: RoadMap) -> None:
     """At 33 m/s it comes in 1.5 · 33 + 8 = 57.5 m ahead, and may stop hard there; who is 70 m ahead may not."""
     view = view_of(motorway, target=(0, 50.0, 33.0))
-    (leader,), _ = come_in(view, StagingMemory(most=3), ("hard-stop",))
+    (leader,), _ = insert_newcomers(view, StagingMemory(most=3), ("hard-stop",))
     assert view.target is not None
     ahead = float(view.target.way.line.project(leader.xy_m)[0]) - view.target.way.lane.s_m
     assert ahead == pytest.approx(57.5, abs=0.1)
@@ -91,7 +93,7 @@ def test_somebody_comes_in_beside_though_another_one_drives_there(
 ) -> None:
     """Who drives level with a target at 20 m/s cannot get ahead of it; who is 45 m ahead can change lanes itself."""
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, place_m, 20.0))
-    assert bool(come_in(view, StagingMemory(most=3), ("cut-in",))[0]) == comes
+    assert bool(insert_newcomers(view, StagingMemory(most=3), ("cut-in",))[0]) == comes
 
 
 def test_the_gap_that_is_driven_to_does_not_depend_on_who_drives_to_it(motorway: RoadMap) -> None:
@@ -100,7 +102,7 @@ def test_the_gap_that_is_driven_to_does_not_depend_on_who_drives_to_it(motorway:
     for drives in (19.0, 20.0, 21.0):
         view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 76.0, drives))
         assert view.target is not None
-        aims.append(drives + 0.8 * into_position(view, view.target, 1).first_mps2)
+        aims.append(drives + 0.8 * positioning_profile(view, view.target, 1).first_mps2)
     assert aims == pytest.approx([aims[0]] * 3)
 
 
@@ -121,7 +123,7 @@ def test_there_is_no_room_close_ahead_of_somebody_on_the_junction(
 
 def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0))
-    newcomers, _ = come_in(view, StagingMemory(most=3, count=1), ("hard-stop",))
+    newcomers, _ = insert_newcomers(view, StagingMemory(most=3, count=1), ("hard-stop",))
     plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers)
     assert plan.tracks.ids == ("staged-1",)
     assert plan.routes["staged-1"][0] == view.scene.routes[0][0]
@@ -145,14 +147,14 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
         to = downtown.lanes[link.to_lane].edge_id
         scene = scene_on({"target": (lane, lane.length_m - 40.0, 8.0)})
         view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to),)))
-        newcomers, _ = come_in(view, StagingMemory(most=3), ("crossing",))
+        newcomers, _ = insert_newcomers(view, StagingMemory(most=3), ("crossing",))
         for one in newcomers:
             crosses = [(reach, x) for reach, x in one.way.links if x.junction_id == link.junction_id]
             response = downtown.junctions[link.junction_id].response[link.request_index]
             assert crosses[0][1].request_index in response
             assert one.route[0] != lane.edge_id
             assert view.target is not None
-            driven = np.interp(CHECK_TIMES_S, FINE_TIMES_S, view.target.goes_on_m)
+            driven = np.interp(CHECK_TIMES_S, FINE_TIMES_S, view.target.free_distance_m)
             own = view.target.way.poses(driven, CHECK_TIMES_S)[0]
             theirs = one.way.poses(one.speed_mps * CHECK_TIMES_S, CHECK_TIMES_S)[0]
             assert np.linalg.norm(own - theirs, axis=-1).min() < 6.0
@@ -170,7 +172,7 @@ def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downto
             scene = scene_on({"target": (lane, lane.length_m - to_line_m, 8.0)})
             route = (lane.edge_id, downtown.lanes[link.to_lane].edge_id)
             view = SituationView.of(downtown, replace(scene, routes=(route,)))
-            for one in approaches(view, oncoming=False):
+            for one in priority_approaches(view, oncoming=False):
                 there = next(x for _, x in one.way.links if x.junction_id == link.junction_id)
                 turned = (
                     downtown.lanes[there.from_lane].line.segment_yaw_rad[-1] - lane.line.segment_yaw_rad[-1]
@@ -183,7 +185,7 @@ def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downto
 def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None:
     """At 9 m/s: a leader 18.5 m ahead, and 5 s and a lorry's length before that one a car that stands."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
-    (leader, standing), stage = come_in(view, StagingMemory(most=3), ("cut-out",))
+    (leader, standing), stage = insert_newcomers(view, StagingMemory(most=3), ("cut-out",))
     assert view.target is not None
     along = view.target.way.line.project(np.array([leader.xy_m, standing.xy_m]))[0] - view.target.way.lane.s_m
     assert along == pytest.approx([18.5, 18.5 + 45.0 + 9.0], abs=0.1)
@@ -205,7 +207,7 @@ def test_nobody_comes_in_to_stand(
 ) -> None:
     """There is a leader; the next lane is taken; the target would see nobody in time; two are needed."""
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
-    assert come_in(view, stage, ("cut-out",))[0] == ()
+    assert insert_newcomers(view, stage, ("cut-out",))[0] == ()
 
 
 def test_lorries_and_motorcycles_come_in_as_often_as_is_said() -> None:

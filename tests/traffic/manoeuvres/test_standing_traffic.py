@@ -17,8 +17,8 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import (
     StandingTraffic,
-    can_queue,
-    queue_comes,
+    can_insert_queue,
+    insert_queue,
     with_standing,
 )
 from tests.traffic.manoeuvres.scenes import long_lane, scene_on, view_of
@@ -27,7 +27,7 @@ STAGE = StagingMemory(most=6, classes=(AgentClass.TRUCK, AgentClass.CAR))
 
 
 def queue_before(road: RoadMap, speed_mps: float, stage: StagingMemory = STAGE) -> StandingTraffic:
-    return queue_comes(view_of(road, target=(0, 50.0, speed_mps)), stage, StandingTraffic())[0]
+    return insert_queue(view_of(road, target=(0, 50.0, speed_mps)), stage, StandingTraffic())[0]
 
 
 def ahead_m(road: RoadMap, queue: StandingTraffic) -> list[float]:
@@ -54,7 +54,7 @@ def test_a_queue_ends_where_a_careful_driver_stops_before_it(
 
 def test_a_queue_is_on_every_lane_as_far_as_vehicles_may_come_in(motorway: RoadMap) -> None:
     lanes = len(motorway.edges[long_lane(motorway).edge_id].lane_ids)
-    queue, stage = queue_comes(view_of(motorway, target=(0, 50.0, 20.0)), STAGE, StandingTraffic())
+    queue, stage = insert_queue(view_of(motorway, target=(0, 50.0, 20.0)), STAGE, StandingTraffic())
     assert stage.count == len(queue.members) == lanes
     assert len({one.way.present_lane.id for one in queue.members}) == lanes
     assert [one.agent_class for one in queue.members[:2]] == [AgentClass.TRUCK, AgentClass.CAR]
@@ -70,8 +70,8 @@ def test_no_queue_ends_before_a_slow_target_or_one_with_a_leader(
     speed_mps: float, cars: dict[str, tuple[int, float, float]], motorway: RoadMap
 ) -> None:
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
-    assert not can_queue(view)
-    assert queue_comes(view, STAGE, StandingTraffic()) == (StandingTraffic(), STAGE)
+    assert not can_insert_queue(view)
+    assert insert_queue(view, STAGE, StandingTraffic()) == (StandingTraffic(), STAGE)
 
 
 def test_no_queue_ends_near_lights_or_where_the_target_yields(downtown: RoadMap) -> None:
@@ -79,7 +79,7 @@ def test_no_queue_ends_near_lights_or_where_the_target_yields(downtown: RoadMap)
     lanes = [lane for lane in downtown.lanes.values() if not lane.is_internal and lane.is_drivable]
     for lane in lanes[::40]:
         view = SituationView.of(downtown, scene_on({"target": (lane, 1.0, 12.0)}))
-        queue, _ = queue_comes(view, STAGE, StandingTraffic())
+        queue, _ = insert_queue(view, STAGE, StandingTraffic())
         met = [link for reach, link in view.target.way.links if reach < 130.0] if view.target else []
         assert not queue.members or not any(link.yields or link.tls_id for link in met)
 
@@ -99,25 +99,25 @@ def later(
 
 def test_a_queue_moves_off_once_the_target_has_closed_up(motorway: RoadMap) -> None:
     queue = queue_before(motorway, 30.0)
-    assert queue.at(later(motorway, queue, 4.0, 30.0, 170.0)).members == queue.members
-    assert queue.at(later(motorway, queue, 8.0, 9.0, 200.0)).members == queue.members
-    assert queue.at(later(motorway, queue, 8.0, 8.4, 200.0)).members == ()  # it crawls with 8 m/s
+    assert queue.updated(later(motorway, queue, 4.0, 30.0, 170.0)).members == queue.members
+    assert queue.updated(later(motorway, queue, 8.0, 9.0, 200.0)).members == queue.members
+    assert queue.updated(later(motorway, queue, 8.0, 8.4, 200.0)).members == ()  # it crawls with 8 m/s
 
 
 def test_a_queue_is_over_when_it_is_passed_or_has_lasted(motorway: RoadMap) -> None:
     queue = queue_before(motorway, 20.0)
-    assert queue.at(later(motorway, queue, 4.0, 20.0, 260.0)).members == ()
-    assert queue.at(later(motorway, queue, 19.5, 20.0, 100.0)).members == queue.members
-    assert queue.at(later(motorway, queue, 20.0, 20.0, 100.0)).members == ()
+    assert queue.updated(later(motorway, queue, 4.0, 20.0, 260.0)).members == ()
+    assert queue.updated(later(motorway, queue, 19.5, 20.0, 100.0)).members == queue.members
+    assert queue.updated(later(motorway, queue, 20.0, 20.0, 100.0)).members == ()
 
 
 def test_who_did_not_get_in_is_not_planned_for(motorway: RoadMap) -> None:
     queue = queue_before(motorway, 20.0)
     first = replace(queue, members=queue.members[:1])
-    assert queue.at(later(motorway, first, 1.0, 20.0, 70.0)).members == queue.members[:1]
+    assert queue.updated(later(motorway, first, 1.0, 20.0, 70.0)).members == queue.members[:1]
     others = replace(queue, members=queue.members[1:])
     assert (
-        queue.at(later(motorway, others, 1.0, 20.0, 70.0)).members == ()
+        queue.updated(later(motorway, others, 1.0, 20.0, 70.0)).members == ()
     )  # nobody stands in the target's lane
 
 
@@ -134,8 +134,8 @@ def test_a_crawling_member_with_a_leader_is_left_to_its_driver(motorway: RoadMap
         },
         1.0,
     )
-    assert queue.at(view).members == queue.members
-    assert queue.at(SituationView.of(motorway, crowded)).members == ()
+    assert queue.updated(view).members == queue.members
+    assert queue.updated(SituationView.of(motorway, crowded)).members == ()
 
 
 def test_a_queue_is_in_every_plan_where_it_is_by_then(motorway: RoadMap) -> None:
@@ -164,7 +164,7 @@ def test_a_queue_without_room_gives_its_turn_and_its_vehicles_back(there: bool, 
     assert after.standing.members == queue.members
     assert after.agenda.now == ("queue" if there else "cut-in")
     assert after.stage.most == STAGE.most + (0 if there else count)
-    assert after.standing.again_s == (40.0 if there else 1.5)  # it is tried again a second later
+    assert after.standing.next_try_s == (40.0 if there else 1.5)  # it is tried again a second later
 
 
 def test_nobody_else_attacks_at_a_queue(motorway: RoadMap) -> None:
@@ -172,4 +172,4 @@ def test_nobody_else_attacks_at_a_queue(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     _, kept = let_in(view, kept)
     assert kept.standing.is_queue
-    assert kept.wanted(view) == kept.staged(view) == ()
+    assert kept.startable_kinds(view) == kept.insertable_kinds(view) == ()

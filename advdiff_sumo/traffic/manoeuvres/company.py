@@ -1,6 +1,7 @@
-"""Who drives beside and behind the target while its leader stops: lawful, in nobody's way, and nearer than the leader.
+"""Vehicles that accompany the target while its leader stops: beside and behind it, and nearer than the leader.
 
-A planner that tracks the nearest few road users, or the nearest ahead alone, has them in mind in place of the leader.
+They drive lawfully and block nobody. A planner that tracks only the nearest few road users, or only the nearest one
+ahead, tracks them instead of the leader.
 """
 
 from __future__ import annotations
@@ -22,47 +23,49 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 ACCOMPANIES = "accompanies"
-"""What somebody does who keeps its place beside or behind the target."""
+"""Kind of manoeuvre of a vehicle that keeps its place beside or behind the target."""
 COMPANY_SIZE = 3
-"""So many are nearer to the target than its leader."""
+"""Number of vehicles that are nearer to the target than its leader."""
 _LENGTH_M = 4.6
 _FRONT_SHARE, _LEVEL_SHARE = 0.4, -0.1
-"""Places ahead of and level with the target, as shares of the distance that two keep on one lane."""
-_REACH_M = (-45.0, 66.0)
-_LEAST_ASIDE_M = 2.0
-_CLOSES_PER_S, _SETTLES_S, _GENTLY_MPS2 = 0.4, 0.8, 2.0
-_SLOWEST_SHARE, _SLOWER_MPS = 0.5, 7.0
-"""Who falls back to its place is no slower than this share of the target's speed, and by no more than that."""
+"""Places ahead of and level with the target, as shares of the spacing of two cars on one lane."""
+_REACH_M = (-45.0, 66.0)  # a vehicle between these distances ahead of the target is part of the company
+_MIN_ASIDE_M = 2.0
+_CLOSING_PER_S, _ADAPTS_S, _ACCEL_MPS2 = 0.4, 0.8, 2.0
+"""Speed difference per metre off the place, time to adapt to it, and largest acceleration."""
+_MIN_SPEED_SHARE, _MAX_SLOWER_MPS = 0.5, 7.0
+"""A vehicle that falls back to its place keeps this share of the target's speed, and is at most so much slower."""
 _BRAKES_MPS2, _DRIFTS_MPS = 2.5, 0.5
-"""Who brakes harder answers something; who moves sideways faster changes lanes, and is not to be hemmed in."""
-_GAINS_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
+"""A target that brakes harder responds to something; one that moves sideways faster changes lanes, and needs room."""
+_FASTER_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
+"""Speed difference to gain on the target; largest one of a settled company; how near a vehicle must be settled."""
 
 
 def car_spacing_m(speed_mps: float) -> float:
-    """Return how far apart the centres of two cars are that keep the lawful gap at *speed_mps*."""
+    """Return the distance between the centres of two cars that keep the lawful gap at *speed_mps*."""
     return LAWFUL.gap_share * safe_gap_m(speed_mps, speed_mps) + LAWFUL.spare_m + _LENGTH_M
 
 
 def company_places(view: SituationView) -> dict[str, tuple[float, ...]]:
-    """Return side → metres ahead of the target at which those are to drive that accompany it; "" is its own lane.
+    """Return side → distances ahead of the target at which vehicles accompany it; side "" is its own lane.
 
-    With a lane on either side nobody need follow; with none at all there is no company.
+    With a lane on either side none is needed behind it. Without any there is no company.
     """
     target = view.target
     if target is None:
         return {}
-    apart = car_spacing_m(target.speed_mps)
-    front = _FRONT_SHARE * apart, (_FRONT_SHARE - 1.0) * apart
-    sides = [side for side in ("left", "right") if _is_beside(view, target, side)]
+    spacing = car_spacing_m(target.speed_mps)
+    front = _FRONT_SHARE * spacing, (_FRONT_SHARE - 1.0) * spacing
+    sides = [side for side in ("left", "right") if _has_lane_beside(view, target, side)]
     if len(sides) == 2:
-        return {sides[0]: front, sides[1]: (_LEVEL_SHARE * apart,)}
-    return {sides[0]: front, "": (-apart,)} if sides else {}
+        return {sides[0]: front, sides[1]: (_LEVEL_SHARE * spacing,)}
+    return {sides[0]: front, "": (-spacing,)} if sides else {}
 
 
-def _is_beside(view: SituationView, target: TargetWay, side: str) -> bool:
+def _has_lane_beside(view: SituationView, target: TargetWay, side: str) -> bool:
     """Return whether there is a lane to the target's *side* that neither ends nor leads into the target's way.
 
-    A lane of a junction has none beside it: there it is whether somebody drives there.
+    Lanes of a junction have no neighbours: there, return whether a vehicle accompanies the target on that side.
     """
     if target.way.present_lane.is_internal:
         return bool(company_rows(view, side))
@@ -76,107 +79,112 @@ def _joins(target: TargetWay, way: Way) -> bool:
 
 
 def insertion_places(view: SituationView, least_m: float) -> Iterator[tuple[str, float]]:
-    """Yield (side, metres ahead of the target) for where those come in that it lacks, *least_m* away at least.
+    """Yield (side, distance ahead of the target) where missing vehicles are inserted, at least *least_m* away.
 
-    Who is to drive behind it on a lane beside comes in ahead and falls back, unless it may drive faster.
+    A vehicle with a place behind the target on a lane beside it is inserted ahead and falls back, unless the lane
+    allows it to drive faster than the target.
     """
     target, row = view.target, view.scene.target
     if target is None:
         return
-    for side, ahead_m in company_places(view).items():
+    for side, places_m in company_places(view).items():
         way = view.neighbour_way(row, side) if side else target.way
-        fastest = float(target.free_speed_mps.max()) + _GAINS_MPS
-        gains = not side or (way is not None and way.lane.speed_mps >= fastest)
+        fastest = float(target.free_speed_mps.max()) + _FASTER_MPS
+        can_gain = not side or (way is not None and way.lane.speed_mps >= fastest)
         next_m = least_m
-        for at in reversed(ahead_m[len(company_rows(view, side)) :]):
-            if at < 0.0 and (gains or at <= -least_m):
-                yield side, min(at, -least_m)
+        for place_m in reversed(places_m[len(company_rows(view, side)) :]):
+            if place_m < 0.0 and (can_gain or place_m <= -least_m):
+                yield side, min(place_m, -least_m)
             else:
-                yield side, max(at, next_m)
-                next_m = max(at, next_m) + car_spacing_m(target.speed_mps)
+                yield side, max(place_m, next_m)
+                next_m = max(place_m, next_m) + car_spacing_m(target.speed_mps)
 
 
 def company_manoeuvres(
     view: SituationView, busy: Container[int], licence: Licence | None = LAWFUL
 ) -> list[Manoeuvre]:
-    """Return how those near, except the *busy* ones, get to their ``company_places`` or keep them.
+    """Return how the vehicles of the company, except the *busy* ones, reach or keep their ``company_places``.
 
-    Once the target brakes, or changes lanes, they are their own drivers again.
+    If the target brakes or changes lanes, SUMO drives them.
     """
     if view.target is None or view.target.speed_mps < STOPS_FROM_MPS:
         return []
     if target_brakes(view, _BRAKES_MPS2) or abs(view.target.way.drift_mps) > _DRIFTS_MPS:
         return []
-    out = []
-    for side, ahead_m in company_places(view).items():
-        near = [row for row in company_rows(view, side) if row not in busy]
-        out += [_keeping(view, view.target, row, at) for row, at in _assigned(view, near, ahead_m)]
-    futures = futures_of_manoeuvres(out, np.array([view.speed(m.row) for m in out]))
-    keeps = lawful_mask(view, out, futures, licence) if out else ()
-    return [m for m, keep in zip(out, keeps, strict=True) if keep]
+    manoeuvres = []
+    for side, places_m in company_places(view).items():
+        free = [row for row in company_rows(view, side) if row not in busy]
+        manoeuvres += [
+            _keep_place(view, view.target, row, place_m) for row, place_m in _assigned(view, free, places_m)
+        ]
+    futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(m.row) for m in manoeuvres]))
+    is_lawful = lawful_mask(view, manoeuvres, futures, licence) if manoeuvres else ()
+    return [m for m, keep in zip(manoeuvres, is_lawful, strict=True) if keep]
 
 
 def company_rows(view: SituationView, side: str) -> Sequence[int]:
-    """Return the rows of those on the lane to the target's *side*, or behind it for "", that may be moved.
+    """Return the movable rows on the lane to the target's *side*, or behind it for "", nearest first.
 
-    Whoever drives on the target's way, aside of its heading in a bend, or leads into it is left out.
+    Vehicles on the target's own way, or on one that leads into it, are left out: in a bend they may seem beside it.
     """
     if not side:
         return [row for row in (view.follower,) if row is not None and row in view.movable]
     if view.target is None:
         return []
-    now, target = view.scene.history, view.scene.target
-    yaw = now.yaw_rad[:, -1]
+    history, target = view.scene.history, view.scene.target
+    yaw = history.yaw_rad[:, -1]
     sign = 1.0 if side == "left" else -1.0
     rows = []
     for row in view.movable:
-        ahead, left = _place(view, row)
-        beside = _LEAST_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
+        ahead, left = _local_position(view, row)
+        is_beside = _MIN_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
         same_way = np.cos(yaw[row] - yaw[target]) > SAME_WAY
-        if beside and same_way and not _joins(view.target, view.ways[row]):
+        if is_beside and same_way and not _joins(view.target, view.ways[row]):
             rows.append((abs(ahead), row))
     return [row for _, row in sorted(rows)]
 
 
-def _place(view: SituationView, row: int) -> tuple[float, float]:
-    """Return how many metres *row* is ahead of the target, and to its left, along and across its heading."""
-    now, target = view.scene.history, view.scene.target
-    yaw = float(now.yaw_rad[target, -1])
-    ahead, left = local_from_world(now.xy_m[row, -1], now.xy_m[target, -1], yaw)
+def _local_position(view: SituationView, row: int) -> tuple[float, float]:
+    """Return the position of *row* ahead of the target and to its left, along and across the target's heading."""
+    history, target = view.scene.history, view.scene.target
+    yaw = float(history.yaw_rad[target, -1])
+    ahead, left = local_from_world(history.xy_m[row, -1], history.xy_m[target, -1], yaw)
     return float(ahead), float(left)
 
 
 def _assigned(
-    view: SituationView, near: Sequence[int], ahead_m: tuple[float, ...]
+    view: SituationView, rows: Sequence[int], places_m: tuple[float, ...]
 ) -> Iterator[tuple[int, float]]:
-    """Yield (row, place) for the nearest of *near*, in the order in which they drive."""
-    some = sorted(near[: len(ahead_m)], key=lambda row: -_place(view, row)[0])
-    if len(some) == len(ahead_m):
-        yield from zip(some, ahead_m, strict=True)
+    """Yield (row, place) for the nearest of *rows*, in the order in which they drive."""
+    nearest = sorted(rows[: len(places_m)], key=lambda row: -_local_position(view, row)[0])
+    if len(nearest) == len(places_m):
+        yield from zip(nearest, places_m, strict=True)
     else:
-        for row in some:
-            at = _place(view, row)[0]
-            yield row, min(ahead_m, key=lambda place: abs(place - at))
+        for row in nearest:
+            ahead_m = _local_position(view, row)[0]
+            yield row, min(places_m, key=lambda place: abs(place - ahead_m))
 
 
-def _keeping(view: SituationView, target: TargetWay, row: int, ahead_m: float) -> Manoeuvre:
-    """Return the speed that brings *row* gently to *ahead_m* of the target."""
-    way, drives = view.ways[row], view.speed(row)
+def _keep_place(view: SituationView, target: TargetWay, row: int, place_m: float) -> Manoeuvre:
+    """Return the speed that brings *row* gently to *place_m* ahead of the target."""
+    way, speed = view.ways[row], view.speed(row)
     limit = way.lane.speed_mps
-    lowest = max(_SLOWEST_SHARE * target.speed_mps, target.speed_mps - _SLOWER_MPS)
-    then = target.speed_mps + _SETTLES_S * view.speed_gain_mps2(view.scene.target)
-    lacks = ahead_m - _place(view, row)[0]
-    aims = float(np.clip(then + _CLOSES_PER_S * lacks, min(lowest, limit), limit))
-    accel = float(np.clip((aims - drives) / _SETTLES_S, -_GENTLY_MPS2, _GENTLY_MPS2))
-    return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _SETTLES_S, 0.0, 0.0, limit), sets_up=True)
+    lowest = max(_MIN_SPEED_SHARE * target.speed_mps, target.speed_mps - _MAX_SLOWER_MPS)
+    target_then = target.speed_mps + _ADAPTS_S * view.speed_gain_mps2(view.scene.target)
+    missing_m = place_m - _local_position(view, row)[0]
+    wish = float(np.clip(target_then + _CLOSING_PER_S * missing_m, min(lowest, limit), limit))
+    accel = float(np.clip((wish - speed) / _ADAPTS_S, -_ACCEL_MPS2, _ACCEL_MPS2))
+    return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _ADAPTS_S, 0.0, 0.0, limit), sets_up=True)
 
 
 def is_settled(view: SituationView) -> bool:
-    """Return whether nobody of the company comes nearer: all of those near are about as fast as the target."""
+    """Return whether the company comes no nearer: all vehicles of it that are near are about as fast as the target."""
     speed = view.speed(view.scene.target)
-    near = (
-        (row, _place(view, row)[0])
-        for side, ahead_m in company_places(view).items()
-        for row in company_rows(view, side)[: len(ahead_m)]
+    company = (
+        (row, _local_position(view, row)[0])
+        for side, places_m in company_places(view).items()
+        for row in company_rows(view, side)[: len(places_m)]
     )
-    return all(abs(view.speed(row) - speed) <= _SETTLED_MPS for row, at in near if abs(at) < _JOINS_M)
+    return all(
+        abs(view.speed(row) - speed) <= _SETTLED_MPS for row, ahead in company if abs(ahead) < _JOINS_M
+    )

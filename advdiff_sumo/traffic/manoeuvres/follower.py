@@ -1,6 +1,6 @@
-"""Who follows the target: it looks past it, and brakes in time for what the target ought to brake for.
+"""The vehicle behind the target: it brakes early for what the target must brake for.
 
-Nobody is asked a question whose right answer ends with somebody else in the target's rear.
+An encounter must not end with a rear-end collision into a target that responds correctly.
 """
 
 from __future__ import annotations
@@ -15,48 +15,48 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile, drive_profiles
 
 FOLLOWS = "follows"
-"""What somebody does who brakes behind the target."""
+"""Kind of manoeuvre of a vehicle that brakes behind the target."""
 _BRAKING_MPS2 = BRAKING_MPS2[:-1]
-"""Decelerations that are tried, mildest first; who only follows brakes no harder."""
-_ROOM_M = 1.0
+"""Decelerations that are tried, mildest first; a follower brakes no harder."""
+_MIN_GAP_M = 1.0
 
 
 def braking_behind(view: SituationView, row: int, perceived_s: float) -> Manoeuvre | None:
-    """Return the mildest braking with which *row* stays behind a target that gives a careful driver's answer.
+    """Return the mildest braking with which *row* stays behind a target that responds like a careful driver.
 
     Args:
         view: the scene.
-        row: of who follows the target.
-        perceived_s: when the target can perceive what it has to brake for; it brakes in full ``REACTION_S`` later.
+        row: row of the follower.
+        perceived_s: when the target can perceive what it must brake for; it brakes fully ``REACTION_S`` later.
 
     Returns:
-        The manoeuvre, or None where no braking of ``_BRAKING_MPS2`` is enough.
+        The manoeuvre, or None if no braking of ``_BRAKING_MPS2`` is enough.
     """
     target = view.target
     if target is None:
         return None
-    careful = target.braked_motion((FULL_BRAKE_MPS2,), perceived_s + REACTION_S)[0][0]
+    target_driven_m = target.braked_motion((FULL_BRAKE_MPS2,), perceived_s + REACTION_S)[0][0]
     profiles = [SpeedProfile(0.0, perceived_s + REACTION_S, -braking) for braking in _BRAKING_MPS2]
-    clear = np.flatnonzero(_stays_behind(view, row, profiles, careful))
-    return Manoeuvre(FOLLOWS, row, view.ways[row], profiles[int(clear[0])]) if len(clear) else None
+    sufficient = np.flatnonzero(_stays_behind(view, row, profiles, target_driven_m))
+    return Manoeuvre(FOLLOWS, row, view.ways[row], profiles[int(sufficient[0])]) if len(sufficient) else None
 
 
 def still_follows(view: SituationView, manoeuvre: Manoeuvre) -> bool:
-    """Return whether who drives *manoeuvre* behind the target stays behind it if that goes on changing its speed."""
+    """Return whether *manoeuvre* keeps the follower behind a target that keeps its present deceleration."""
     target = view.target
     if target is None:
         return False
     speed = view.scene.history.speed_mps[view.scene.target]
-    slows = max(float(speed[-2] - speed[-1]) / view.scene.history.dt_s, 0.0) if len(speed) > 1 else 0.0
-    driven = target.braked_motion((slows,), 0.0)[0][0]
-    return bool(_stays_behind(view, manoeuvre.row, [manoeuvre.profile], driven)[0])
+    slowing = max(float(speed[-2] - speed[-1]) / view.scene.history.dt_s, 0.0) if len(speed) > 1 else 0.0
+    target_driven_m = target.braked_motion((slowing,), 0.0)[0][0]
+    return bool(_stays_behind(view, manoeuvre.row, [manoeuvre.profile], target_driven_m)[0])
 
 
 def _stays_behind(
     view: SituationView, row: int, profiles: list[SpeedProfile], target_driven_m: FloatArray
 ) -> FloatArray:
-    """Return (P,) whether *row* stays ``_ROOM_M`` behind a target that drives *target_driven_m* (T,)."""
+    """Return (P,) whether *row* stays ``_MIN_GAP_M`` behind a target that drives *target_driven_m* (T,)."""
     driven, _ = drive_profiles(np.full(len(profiles), view.speed(row)), profiles)
     ahead, _ = view.position_on(view.ways[row], view.scene.target)
     gap = view.gap_m(ahead, row, view.scene.target) + target_driven_m - driven
-    return np.asarray((gap > _ROOM_M).all(axis=1))
+    return np.asarray((gap > _MIN_GAP_M).all(axis=1))

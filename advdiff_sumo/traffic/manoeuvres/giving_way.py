@@ -1,4 +1,4 @@
-"""Who has to wait at its line until the target, which has the right of way there, has passed."""
+"""Which vehicles must wait at their line until the target, which has the right of way there, has passed."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 
-_BEFORE_LINE_M = 0.5
-_SPARE_S, _ASIDE_M = 1.0, 1.5
-_AT_LINE_M = 15.0
+_BEFORE_LINE_M = 0.5  # gap from the front of a waiting vehicle to its line
+_SPARE_S, _SPARE_M = (
+    1.0,
+    1.5,
+)  # time and distance that a vehicle must leave to the target at the conflict point
+_AT_LINE_M = 15.0  # a vehicle this near to its line has come to the junction
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """The way of a vehicle over the junction that it is on or comes to next.
+    """How a vehicle drives over the junction that it is on or comes to next.
 
     Attributes:
         link: the connection.
         line_m: distance from the box centre to its stop line; negative beyond it.
-        speed_mps: now.
+        speed_mps: present speed.
         half_m: half the length of the vehicle.
     """
 
@@ -42,12 +45,12 @@ class _Entry:
 
     @property
     def room_m(self) -> float:
-        """Distance that the front may drive until it is at its place before the line."""
+        """Distance until the front is where it waits, before the line."""
         return self.line_m - self.half_m - _BEFORE_LINE_M
 
     @property
-    def is_late(self) -> bool:
-        """Whether it is over the line, or could not stop before it by braking with 4 m/s²."""
+    def is_too_late(self) -> bool:
+        """Whether it is over the line, or braking with 4 m/s² could not stop it before the line."""
         room_m = max(self.room_m, 0.5 * _BEFORE_LINE_M)
         return self.is_over or self.speed_mps**2 > 2.0 * CAREFUL_STOP_MPS2 * room_m
 
@@ -58,42 +61,45 @@ class _Entry:
 
 
 def waiting_lines_m(view: SituationView, rows: Sequence[int], futures: Futures) -> FloatArray:
-    """Return (N,) how far each may drive before the target has passed; inf where it need not wait.
+    """Return (N,) how far each vehicle may drive before the target has passed; inf if it need not wait.
 
-    Who has to give way to the target, by the net's rules or, where these say nothing, as it is over its line already,
-    waits; unless its plan takes it past the place where they meet a second before the target, were it to hurry, can be
-    there; or it is over its own line; or it would have to brake harder than 4 m/s². Nobody waits for a target that has
-    a red light, that follows somebody who will still be in its way, that is not there before the plans end, or that has
-    stood for its whole history and has to let somebody else pass itself.
+    A vehicle waits if it must yield to the target by the net's rules or, where these rank neither, if the target is
+    over its line already. It need not wait if
+
+    - its plan takes it past the conflict point a second before a target that hurries can be there,
+    - it is over its own line, or would have to brake harder than 4 m/s²,
+    - the target has a red light, follows a vehicle that will still be in its way, or arrives after the plans end, or
+    - the target has stood for its whole history and must yield to another vehicle itself.
 
     Args:
         view: the scene.
         rows: N rows of the scene.
-        futures: their plans.
+        futures: the plans of *rows*.
     """
-    lines = np.full(len(rows), np.inf)
+    lines_m = np.full(len(rows), np.inf)
     target = _entry(view, view.scene.target)
-    if target is None or not _may_go(view, target):
-        return lines
-    driven = futures.travelled_m()
+    if target is None or not _target_may_go(view, target):
+        return lines_m
+    driven_m = futures.travelled_m()
     for k, row in enumerate(rows):
         own = _entry(view, row)
-        if own is None or own.is_late or not _gives_way(view, own, target):
+        if own is None or own.is_too_late or not _must_yield(view, own, target):
             continue
-        if _gets_in_the_way(view, own, target, driven[k], futures.dt_s):
-            lines[k] = max(own.room_m, 0.0)
-    return lines
+        if _conflicts(view, own, target, driven_m[k], futures.dt_s):
+            lines_m[k] = max(own.room_m, 0.0)
+    return lines_m
 
 
 def _entry(view: SituationView, row: int) -> _Entry | None:
+    """Return how *row* drives over its junction; None if there is none on its way."""
     way = view.ways.get(row)
     if way is None:
         return None
     lane, size = way.present_lane, view.size(row)
     link = view.road.link_over.get(lane.id)
     if link is not None:
-        behind = link.via[: link.via.index(lane.id)]
-        line_m = -way.lane.s_m - sum(view.road.lanes[name].length_m for name in behind)
+        driven_lanes = link.via[: link.via.index(lane.id)]
+        line_m = -way.lane.s_m - sum(view.road.lanes[name].length_m for name in driven_lanes)
     elif way.links:
         line_m, link = way.links[0]
     else:
@@ -101,20 +107,22 @@ def _entry(view: SituationView, row: int) -> _Entry | None:
     return _Entry(link, line_m, view.speed(row), 0.5 * float(size[0]))
 
 
-def _may_go(view: SituationView, target: _Entry) -> bool:
-    """Return whether nothing but who has to give way to it keeps the target from going on."""
+def _target_may_go(view: SituationView, target: _Entry) -> bool:
+    """Return whether only vehicles that must yield to the target could keep it from going on."""
     if view.is_red(target.link) or not view.is_clear_on_arrival(target.line_m):
         return False
     history, row = view.scene.history, view.scene.target
     if (np.abs(history.speed_mps[row][history.valid[row]]) > STANDS_MPS).any():
         return True
-    first = priority_links(view, target.link)
+    prior_links = priority_links(view, target.link)
     others = (_entry(view, other) for other in view.ways if other != row)
-    return not any(other.link in first and other.line_m < _AT_LINE_M for other in others if other is not None)
+    return not any(
+        other.link in prior_links and other.line_m < _AT_LINE_M for other in others if other is not None
+    )
 
 
-def _gives_way(view: SituationView, own: _Entry, target: _Entry) -> bool:
-    """Return whether who is before its line has to let the target pass: by the net's rules, or as it comes later."""
+def _must_yield(view: SituationView, own: _Entry, target: _Entry) -> bool:
+    """Return whether a vehicle before its line must let the target pass: by the net's rules, or as it comes later."""
     if own.link == target.link or own.link.junction_id != target.link.junction_id:
         return False
     if view.signal(own.link) == PROTECTED_GREEN:
@@ -123,28 +131,26 @@ def _gives_way(view: SituationView, own: _Entry, target: _Entry) -> bool:
     return target.is_over if yields[0] == yields[1] else yields[0]
 
 
-def _gets_in_the_way(
-    view: SituationView, own: _Entry, target: _Entry, driven_m: FloatArray, dt_s: float
-) -> bool:
-    """Return whether who drives *driven_m* (T + 1,) is still where the ways meet when the target comes there."""
-    places = conflict_points_m(view.road, target.link, own.link)
-    if places is None:
+def _conflicts(view: SituationView, own: _Entry, target: _Entry, driven_m: FloatArray, dt_s: float) -> bool:
+    """Return whether a vehicle that drives *driven_m* (T + 1,) is still at the conflict point as the target arrives."""
+    points = conflict_points_m(view.road, target.link, own.link)
+    if points is None:
         return False
-    ahead_m, own_m = target.line_m + places[0], own.line_m + places[1]
-    if ahead_m + target.half_m + _ASIDE_M < 0.0:
+    target_m, own_m = target.line_m + points[0], own.line_m + points[1]
+    if target_m + target.half_m + _SPARE_M < 0.0:
         return False
     limit = view.road.lanes[target.link.from_lane].speed_mps
-    arrives_s = _soonest_s(ahead_m - target.half_m - _ASIDE_M, target.speed_mps, limit)
-    past = driven_m > own_m + own.half_m + _ASIDE_M
-    leaves_s = dt_s * float(past.argmax()) if past.any() else np.inf
-    return arrives_s < min(dt_s * (len(driven_m) - 1), leaves_s + _SPARE_S)
+    arrival_s = _earliest_s(target_m - target.half_m - _SPARE_M, target.speed_mps, limit)
+    has_passed = driven_m > own_m + own.half_m + _SPARE_M
+    leaves_s = dt_s * float(has_passed.argmax()) if has_passed.any() else np.inf
+    return arrival_s < min(dt_s * (len(driven_m) - 1), leaves_s + _SPARE_S)
 
 
-def _soonest_s(ahead_m: float, speed_mps: float, limit_mps: float) -> float:
-    """Return when somebody who hurries is *ahead_m* further on."""
+def _earliest_s(ahead_m: float, speed_mps: float, limit_mps: float) -> float:
+    """Return when a vehicle that hurries is *ahead_m* further on."""
     fastest = max(speed_mps, limit_mps)
-    gains_m = (fastest**2 - speed_mps**2) / (2.0 * HURRYING_MPS2)
-    if ahead_m <= gains_m:
+    gaining_m = (fastest**2 - speed_mps**2) / (2.0 * HURRYING_MPS2)
+    if ahead_m <= gaining_m:
         reached = float(np.sqrt(speed_mps**2 + 2.0 * HURRYING_MPS2 * max(ahead_m, 0.0)))
         return (reached - speed_mps) / HURRYING_MPS2
-    return (fastest - speed_mps) / HURRYING_MPS2 + (ahead_m - gains_m) / fastest
+    return (fastest - speed_mps) / HURRYING_MPS2 + (ahead_m - gaining_m) / fastest

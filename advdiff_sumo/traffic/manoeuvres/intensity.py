@@ -1,4 +1,4 @@
-"""How severe the encounters of scripted attackers are made: the severities that a margin is searched in."""
+"""Prescribed severities of scripted attacks: those that the search for a margin varies."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass
 HARDEST_MPS2 = 9.0
 """No car brakes harder."""
 BRAKING_KINDS = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane")
-"""Kinds that are as severe as somebody brakes."""
+"""Kinds whose severity is how hard the attacker brakes."""
 MOST_SPARE_GAP_M = 25.0
-"""Largest gap beyond the lawful one that a lane change may be asked for."""
+"""Largest gap beyond the lawful one that may be prescribed for a lane change."""
 MOST_EARLY_S = 1.5
-"""Who crosses so long before the target is there does not bother it."""
+"""A vehicle that crosses earlier than this before the target does not affect it."""
 LEAST_REVEALS_S, MOST_REVEALS_S = 1.5, 2.5
-"""A leader that leaves later can hardly get past who stands; for an earlier one that comes in there is no room."""
+"""A leader that leaves the lane later hardly gets past the standing vehicle; an earlier one cannot be inserted."""
 
 
 @dataclass(frozen=True)
 class Intensity:
-    """Severities that are asked for; None: whatever serves best.
+    """Prescribed severities; None: the one with the highest merit.
 
     Attributes:
-        braking_mps2: with which a manoeuvre is driven; it is chosen, with its time and place, as if nothing were asked.
-        spare_gap_m: bumper gap beyond the lawful one at which somebody cuts in, who then stops.
-        early_s: how long before the target somebody with priority is where their ways meet.
-        reveals_s: how long before it would reach somebody who stands a leader begins to leave the lane.
+        braking_mps2: deceleration of the attacker. The manoeuvre, its time and place are chosen as without it.
+        spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops.
+        early_s: how long before the target a vehicle with priority is where their ways meet.
+        reveals_s: how long before it would reach a standing vehicle a leader begins to leave the lane.
     """
 
     braking_mps2: float | None = None
@@ -33,10 +33,10 @@ class Intensity:
     reveals_s: float | None = None
 
     def is_prescribed_for(self, kind: str) -> bool:
-        """Return whether manoeuvres of *kind* are chosen for a severity, not for what serves best."""
-        asked = {"cut-in": self.spare_gap_m, "crossing": self.early_s, "cut-out": self.reveals_s}
-        return asked.get(kind) is not None
+        """Return whether manoeuvres of *kind* are chosen by a prescribed severity instead of their merit."""
+        prescribed = {"cut-in": self.spare_gap_m, "crossing": self.early_s, "cut-out": self.reveals_s}
+        return prescribed.get(kind) is not None
 
 
 ANY_SEVERITY = Intensity()
-"""Whatever serves best."""
+"""No severity is prescribed."""

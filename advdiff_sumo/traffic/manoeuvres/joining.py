@@ -1,4 +1,4 @@
-"""Who would move into the lane that the target has to change to: its route goes on from there, and not from its own."""
+"""Plans that enter the lane to which the target must change, as its route goes on only from there."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 def blocks_lane_change(
     view: SituationView, rows: Sequence[int], xy_m: FloatArray, yaw_rad: FloatArray
 ) -> BoolArray:
-    """Return (R,) which plans come into the lane that the target has to change to and leave it no answer there.
+    """Return (R,) which plans enter the lane that the target must change to, so that braking no longer suffices there.
 
-    The target is taken to change now, and to brake if need be. Who is on that lane, or on the target's, is left out.
+    The target is assumed to change lanes now, and to brake if necessary. Vehicles on that lane or on the target's own
+    are left out.
 
     Args:
         view: the scene.
-        rows: (R,) of the vehicles.
+        rows: (R,) rows of the vehicles.
         xy_m: (R, T, 2) centres at ``CHECK_TIMES_S``.
         yaw_rad: (R, T) headings.
     """
-    out = np.zeros(len(rows), dtype=np.bool_)
-    joining = _joining(view)
-    if joining is None:
-        return out
-    theirs = {joining.way.present_lane.id, view.ways[view.scene.target].present_lane.id}
-    away = [k for k, r in enumerate(rows) if r not in view.ways or view.ways[r].present_lane.id not in theirs]
+    blocks = np.zeros(len(rows), dtype=np.bool_)
+    changing = _changing_target(view)
+    if changing is None:
+        return blocks
+    used = {changing.way.present_lane.id, view.ways[view.scene.target].present_lane.id}
+    away = [k for k, r in enumerate(rows) if r not in view.ways or view.ways[r].present_lane.id not in used]
     sizes = view.scene.history.size_m[[rows[k] for k in away]]
-    needed = needed_braking(joining, xy_m[away], yaw_rad[away], sizes, np.zeros(len(away)))
-    out[away] = needed > BRAKING_MPS2[-1]
-    return out
+    needed = needed_braking(changing, xy_m[away], yaw_rad[away], sizes, np.zeros(len(away)))
+    blocks[away] = needed > BRAKING_MPS2[-1]
+    return blocks
 
 
-def _joining(view: SituationView) -> TargetWay | None:
-    """Return the target on its change to the lane beside it that its route goes on from; None where it needs none."""
+def _changing_target(view: SituationView) -> TargetWay | None:
+    """Return the target as it changes to the lane beside from which its route goes on; None if it needs no change."""
     target, row = view.target, view.scene.target
     if target is None or _keeps_route(view, target.way):
         return None
@@ -52,6 +53,6 @@ def _joining(view: SituationView) -> TargetWay | None:
 
 
 def _keeps_route(view: SituationView, way: Way) -> bool:
-    """Return whether *way* neither ends nor leaves the target's route, as far as it is known."""
+    """Return whether *way* neither ends nor leaves the target's route, as far as that is known."""
     route, lanes = view.scene.routes[view.scene.target], way.lane.lanes
     return way.lane.end_m == np.inf and all(x.is_internal or not route or x.edge_id in route for x in lanes)

@@ -1,4 +1,4 @@
-"""What a licence makes of a plan: who would break a rule is refused or waits, lawful manoeuvres are added."""
+"""What a licence makes of a plan: unlawful plans are refused or wait, and lawful manoeuvres are added."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 PAUSE_S = 8.0
 """Rest of a vehicle after a manoeuvre."""
 SETS_OFF_MPS = 6.0
-"""Who rests and drives more slowly follows its lane until it is up to speed."""
+"""A resting vehicle that is slower than this follows its lane until it is up to speed."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,13 @@ class LicensedAttack:
     """What attackers do; rows are those of the view.
 
     Attributes:
-        exempt: whether red lights, lanes and the target itself do not bind attackers (the licence "reckless").
-        refused: rows whose plans would break a rule, or who set off after a manoeuvre; they follow their lanes.
+        exempt: whether attackers may ignore red lights, lanes and the target itself (the licence "reckless").
+        refused: rows that follow their lanes, as their plans would break a rule or they set off after a manoeuvre.
         driven: row → positions (T, 2), headings (T,) and speeds (T,) of a lawful manoeuvre.
         commitments: manoeuvres under way, for the next plan.
         over_limit: highest share of the speed limit at which guided vehicles may drive.
-        newcomers: who comes in.
-        waits_m: row → how far it may drive while the target, which has the right of way over it, has not passed.
+        newcomers: vehicles that are inserted.
+        waits_m: row → how far it may drive before the target, which has the right of way over it, has passed.
     """
 
     exempt: bool = True
@@ -75,16 +75,16 @@ def licensed_attack(
     kept: Commitments | None,
     most: int,
 ) -> LicensedAttack:
-    """Return what may be driven of a joint plan, and the manoeuvres that are driven beside it.
+    """Return which parts of a joint plan may be driven, and the manoeuvres that are driven beside it.
 
     Args:
         road: the map.
         view: the scene.
         futures: planned for the view's rows.
-        attackers: ids that were guided.
-        name: of the licence.
+        attackers: ids of the guided vehicles.
+        name: name of the licence.
         kept: manoeuvres under way; None: none are added.
-        most: manoeuvres at a time, beside the guided vehicles.
+        most: most manoeuvres at a time, beside the guided vehicles.
     """
     licence = licence_of(name)
     if licence is None:
@@ -94,45 +94,48 @@ def licensed_attack(
     newcomers: tuple[Newcomer, ...] = ()
     if kept is not None:
         manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
-        row_of = {row: k for k, row in enumerate(view.rows.tolist())}
+        view_row_of = {row: k for k, row in enumerate(view.rows.tolist())}
         xy, yaw, planned_speed = planned_motions(situation, manoeuvres)
         for k, manoeuvre in enumerate(manoeuvres):
-            if manoeuvre.kind != WAITS:  # the safeguard sees boxes
-                driven[row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
+            if manoeuvre.kind != WAITS:  # the safeguard keeps vehicles clear of boxes by itself
+                driven[view_row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
         newcomers, kept = let_in(situation, kept)
-        places = {name: k for k, name in enumerate(view.ids) if view.moved[k]}
+        movable_rows = {name: k for k, name in enumerate(view.ids) if view.moved[k]}
         driven |= {
-            places[name]: motion
+            movable_rows[name]: motion
             for name, motion in kept.standing.motions(view.scene.time_s)
-            if name in places
+            if name in movable_rows
         }
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
-    refused = _refused(situation, view, futures, guided, licence) | _set_off(view, kept, driven)
-    lines = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
-    waits = {k: line for k, line in enumerate(lines) if np.isfinite(line)}
-    return LicensedAttack(False, tuple(sorted(refused)), driven, kept, licence.over_limit, newcomers, waits)
+    refused = _refused(situation, view, futures, guided, licence) | _setting_off(view, kept, driven)
+    lines_m = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
+    waits_m = {k: line for k, line in enumerate(lines_m) if np.isfinite(line)}
+    return LicensedAttack(False, tuple(sorted(refused)), driven, kept, licence.over_limit, newcomers, waits_m)
 
 
 def situation_of(road: RoadMap, view: View) -> SituationView:
-    """Return the scene of *view* as ways, in which only those may be moved who get a plan."""
+    """Return the scene of *view* with ways; only vehicles that get a plan may be moved in it."""
     movable = np.zeros_like(view.scene.movable)
     movable[view.rows[view.moved]] = True
     return SituationView.of(road, replace(view.scene, movable=movable))
 
 
-def _set_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> set[int]:
-    """Return which rows are slow after a manoeuvre: the model, which saw them brake, would let them stand."""
+def _setting_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> set[int]:
+    """Return which rows are slow after a manoeuvre; the model, which saw them brake, would let them stand."""
     if kept is None:
         return set()
-    now, slow = view.scene.time_s, view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
-    rests = [kept.rested_s.get(name, now) > now for name in view.ids]
-    return set(np.flatnonzero(view.moved & slow & rests).tolist()) - driven.keys()
+    now, is_slow = view.scene.time_s, view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
+    is_resting = [kept.rested_s.get(name, now) > now for name in view.ids]
+    return set(np.flatnonzero(view.moved & is_slow & is_resting).tolist()) - driven.keys()
 
 
 def _refused(
     situation: SituationView, view: View, futures: Futures, guided: list[int], licence: Licence
 ) -> set[int]:
-    """Return which of the *guided* rows break a rule, or leave the target no answer; all where it is on no lane."""
+    """Return which of the *guided* rows break a rule or leave the target no sufficient braking.
+
+    That is all of them if the target is on no lane.
+    """
     target = situation.target
     if target is None or not guided:
         return set(guided)
@@ -142,10 +145,12 @@ def _refused(
     speed[:, 1::2] = futures.speed_mps[:, 1:]
     speed[:, ::2] = 0.5 * (futures.speed_mps[:, 1:] + futures.speed_mps[:, :-1])
     rows = [int(view.rows[k]) for k in guided]
-    broken = plan_breaches(situation, rows, xy[guided], yaw[guided], speed[guided])
+    breaches = plan_breaches(situation, rows, xy[guided], yaw[guided], speed[guided])
     allowed = CARELESS_ALLOWS if licence is not LAWFUL else frozenset()
-    out = {k for k, kinds in zip(guided, broken, strict=True) if kinds - allowed}
-    now = np.zeros(len(guided))
-    needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], now)
-    out |= set(np.array(guided)[blocks_lane_change(situation, rows, xy[guided], yaw[guided])].tolist())
-    return out | {k for k, braking in zip(guided, needed.tolist(), strict=True) if braking > BRAKING_MPS2[-1]}
+    refused = {k for k, kinds in zip(guided, breaches, strict=True) if kinds - allowed}
+    perceived_s = np.zeros(len(guided))
+    needed = needed_braking(target, xy[guided], yaw[guided], futures.size_m[guided], perceived_s)
+    is_blocking = blocks_lane_change(situation, rows, xy[guided], yaw[guided])
+    refused |= set(np.array(guided)[is_blocking].tolist())
+    is_insufficient = needed > BRAKING_MPS2[-1]
+    return refused | set(np.array(guided)[is_insufficient].tolist())

@@ -1,4 +1,4 @@
-"""Checks final plans with the breach rules of the verdict: would a collision that a plan leads to be its own fault?"""
+"""Checks final plans with the breach rules of the verdict: would its vehicle be at fault in a collision?"""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S
 
 CARELESS_ALLOWS = frozenset((BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SPEEDING))
-"""Breaches that the licence "careless" leaves to its own bounds."""
-_ANSWERS_MPS2 = (BRAKING_MPS2[0], 4.0)
+"""Breaches that the licence "careless" limits by its own bounds."""
+_TARGET_BRAKING_MPS2 = (BRAKING_MPS2[0], 4.0)
 
 
 def plan_breaches(
@@ -27,40 +27,40 @@ def plan_breaches(
 ) -> list[frozenset[BreachKind]]:
     """Return for each of R plans which rules its vehicle would break.
 
-    The target is taken to go on along its way, and to brake at 4 m/s².
+    Each plan is tried with a target that follows its way without braking, and with one that brakes at 4 m/s².
 
     Args:
         view: the scene; its target is on a lane.
-        rows: (R,) of the vehicles.
+        rows: (R,) rows of the vehicles.
         xy_m: (R, T, 2) centres at ``CHECK_TIMES_S``.
         yaw_rad: (R, T) headings.
         speed_mps: (R, T) speeds.
 
     Raises:
-        ValueError: the target is on no lane, so that nobody knows its way.
+        ValueError: the target is on no lane, so its way is unknown.
     """
     if view.target is None:
         raise ValueError("no plan can be judged against a target that is on no lane")
     broken: list[set[BreachKind]] = [set() for _ in rows]
-    for braking in _ANSWERS_MPS2:
+    for braking in _TARGET_BRAKING_MPS2:
         planned = _planned(view, view.target, rows, (xy_m, yaw_rad, speed_mps), braking)
-        for k, kinds in _contacts(planned).items():
-            broken[k - 1] |= kinds
-        now = planned.tracks.steps - len(CHECK_TIMES_S)
+        for row, kinds in _contact_breaches(planned).items():
+            broken[row - 1] |= kinds
+        first_step = planned.tracks.steps - len(CHECK_TIMES_S)
         for k in range(len(rows)):
-            conduct = conduct_breaches(planned, k + 1, now, planned.tracks.steps)
+            conduct = conduct_breaches(planned, k + 1, first_step, planned.tracks.steps)
             broken[k] |= {breach.kind for breach in conduct}
     return [frozenset(kinds) for kinds in broken]
 
 
-def _contacts(planned: TrafficView) -> Mapping[int, set[BreachKind]]:
+def _contact_breaches(planned: TrafficView) -> Mapping[int, set[BreachKind]]:
     """Return row → kinds of breach that led to its contact with the target, which is row 0."""
-    out: dict[int, set[BreachKind]] = {}
+    breaches: dict[int, set[BreachKind]] = {}
     for contact in tracks_collisions(planned.tracks, 0):
         if contact.rows[0] == 0 and not contact.initial:
             kinds = {b.kind for b in breaches_of(planned, encounter(planned, contact), 1)}
-            out.setdefault(contact.rows[1], set()).update(kinds)
-    return out
+            breaches.setdefault(contact.rows[1], set()).update(kinds)
+    return breaches
 
 
 def _planned(
@@ -70,7 +70,7 @@ def _planned(
     plans: tuple[FloatArray, FloatArray, FloatArray],
     braking_mps2: float,
 ) -> TrafficView:
-    """Return the target and *rows* from the history on to the end of their plans."""
+    """Return the target and *rows* over their history and their plans; the target brakes with *braking_mps2*."""
     driven, speed = target.braked_motion((braking_mps2,), 0.0)
     xy, yaw = target.way.poses(driven, CHECK_TIMES_S)
     history = view.scene.history.rows([view.scene.target, *rows])
@@ -90,5 +90,5 @@ def _planned(
         0: view.scene.routes[view.scene.target],
         **{k + 1: view.scene.routes[r] for k, r in enumerate(rows)},
     }
-    known = {k: route for k, route in routes.items() if route}
-    return TrafficView(tracks, view.road, (view.scene.signals,) * tracks.steps, known)
+    known_routes = {k: route for k, route in routes.items() if route}
+    return TrafficView(tracks, view.road, (view.scene.signals,) * tracks.steps, known_routes)

@@ -1,4 +1,4 @@
-"""Where somebody has to be now to meet the target at a junction where the target has to let it pass."""
+"""Where a vehicle must be now to meet the target at a junction where the target has to let it pass."""
 
 from __future__ import annotations
 
@@ -21,30 +21,32 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 REACH_M = 80.0
-"""Distance within which a junction ahead is looked at."""
+"""Junctions farther ahead than this are ignored."""
 SLOWEST_TARGET_MPS = 3.0
-"""For a slower target nobody comes in, and nobody is timed to cross its way."""
-_SOONEST_S, _LATEST_S, _RED_S = 3.2, 6.0, 5.0
-_LEAST_ARRIVAL_S = 1.7
-_SLOWEST_MPS, _FASTEST_MPS, _SHARE = 3.0, 12.0, 0.6
+"""For a slower target no vehicle is inserted, and none is timed to cross its way."""
+_EARLIEST_S, _LATEST_S, _LATEST_AT_RED_S = 3.2, 6.0, 5.0  # when the target may be at the conflict point
+_MIN_ARRIVAL_S = 1.7  # the same of the other vehicle, if the time is prescribed
+_SLOWEST_MPS, _FASTEST_MPS, _SLOWEST_SHARE = 3.0, 12.0, 0.6  # of the other vehicle; share of its limit
 CAREFUL_STOP_MPS2 = 4.0
-"""Braking with which a careful driver who sees somebody come in still stops at its line."""
+"""Braking with which a careful driver who sees a vehicle inserted still stops at its line."""
 _WAITS_BEFORE_M = 2.5
-"""Before the middle of the other's lane: where who turns across it waits."""
-_TIMING_S, _TIMING_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
-_PACE_AT_RED = 0.8
-"""Share of the limit at which somebody comes who may have to hurry, or to hesitate."""
-_TOUCHES_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
-_FROM_LINE_M, _ONCOMING_RAD = 8.0, 2.2
+"""Distance before the middle of the other's lane at which a vehicle that turns across it waits."""
+_ARRIVAL_ERRORS_S, _ARRIVAL_ERRORS_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
+"""How much later than the target the other vehicle arrives: the values that are tried, best first."""
+_LIMIT_SHARE_AT_RED = 0.8
+"""Share of the limit for a vehicle that may have to hurry or to hesitate."""
+_CONFLICT_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
+"""Distance of centres that is a conflict; how far beyond the junction it is searched for; spacing of that search."""
+_MIN_TO_LINE_M, _ONCOMING_RAD = 8.0, 2.2
 
 
 @dataclass(frozen=True)
 class Approach:
-    """Somebody who would meet the target.
+    """A vehicle that would meet the target.
 
     Attributes:
-        way: begins where it would be now.
-        speed_mps: with which it would come.
+        way: its way, which begins where it would be now.
+        speed_mps: its speed.
     """
 
     way: Way
@@ -54,80 +56,80 @@ class Approach:
 def priority_approaches(
     view: SituationView, oncoming: bool, early_s: float | None = None, from_ahead_only: bool = False
 ) -> Iterator[Approach]:
-    """Yield who would meet the target at its next junctions and goes first, those wanted most first.
+    """Yield vehicles that have priority over the target at its next junctions and would meet it there, best first.
 
-    The target goes on as if it saw nobody. Nobody meets a target that waits behind others or hardly moves, nor one
-    that is too near to give way: at its stop line, or before the place where it meets who comes from ahead.
+    The target is assumed not to respond. There are none for a target that is slow, waits behind another vehicle, or is
+    too near to yield: at its stop line or, to oncoming traffic, before the conflict point.
 
     Args:
         view: the scene.
-        oncoming: whether those who come from ahead are wanted more than those from the sides.
-        early_s: how long before the target they are there; None: with it.
-        from_ahead_only: whether nobody from the sides is wanted at all; those who turn come where none go straight
-            on, as slow as their bend asks for.
+        oncoming: whether oncoming vehicles are preferred to those from the sides.
+        early_s: how long before the target they arrive; None: at about the same time.
+        from_ahead_only: whether only oncoming vehicles are wanted. Turning ones come only if none goes straight on, and
+            no faster than their bend allows.
     """
     target = view.target
     if target is None or target.speed_mps < SLOWEST_TARGET_MPS:
         return
-    stops_m = _stops_m(target)
-    for reach, link in target.way.links:
-        if not 0.0 < reach < REACH_M or not view.is_clear_on_arrival(reach):
+    stop_distance_m = _stop_distance_m(target)
+    for line_m, link in target.way.links:
+        if not 0.0 < line_m < REACH_M or not view.is_clear_on_arrival(line_m):
             return
-        red = view.is_red(link)
-        met = [
-            (other, places)
-            for other in _foes(view, link, oncoming, from_ahead_only)
-            if (places := conflict_points_m(view.road, link, other))
-            and stops_m <= reach + _waits_m(view, link, other, places[0])
+        is_red = view.is_red(link)
+        conflicts = [
+            (other, points)
+            for other in _conflicting_links(view, link, oncoming, from_ahead_only)
+            if (points := conflict_points_m(view.road, link, other))
+            and stop_distance_m <= line_m + _waits_beyond_line_m(view, link, other, points[0])
         ]
-        if red:
-            met.sort(key=lambda one: one[1][1])  # who is soon there leaves the least time to see it coming
-        for other, places in met:
-            meets_s = target.arrival_s(reach + places[0])
-            soonest_s = (
-                _SOONEST_S if early_s is None else MOST_EARLY_S + _LEAST_ARRIVAL_S
-            )  # room for every severity
-            if soonest_s < meets_s < (_RED_S if red else _LATEST_S):
-                usual_s = _TIMING_AT_RED_S if red else _TIMING_S
-                timing_s = usual_s if early_s is None else (-early_s,)
-                arrivals_s = [meets_s + late for late in timing_s]
-                pace = _PACE_AT_RED if red else 1.0
+        if is_red:
+            conflicts.sort(
+                key=lambda conflict: conflict[1][1]
+            )  # a short way leaves the least time to perceive it
+        for other, points in conflicts:
+            meets_s = target.arrival_s(line_m + points[0])
+            # a prescribed time leaves room for every severity
+            earliest_s = _EARLIEST_S if early_s is None else MOST_EARLY_S + _MIN_ARRIVAL_S
+            if earliest_s < meets_s < (_LATEST_AT_RED_S if is_red else _LATEST_S):
+                usual_errors_s = _ARRIVAL_ERRORS_AT_RED_S if is_red else _ARRIVAL_ERRORS_S
+                errors_s = usual_errors_s if early_s is None else (-early_s,)
+                arrivals_s = [meets_s + error_s for error_s in errors_s]
+                limit_share = _LIMIT_SHARE_AT_RED if is_red else 1.0
                 fastest_mps = turn_speed_mps(view.road, other) if from_ahead_only else np.inf
-                yield from _meeting(view, other, arrivals_s, places[1], pace, fastest_mps)
-        if red:
+                yield from _arriving_at(view, other, arrivals_s, points[1], limit_share, fastest_mps)
+        if is_red:
             return
 
 
-def _foes(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
-    """Return the links whose traffic goes first where *link* meets them, those wanted most first."""
-    foes = sorted(priority_links(view, link), key=lambda one: _preference(view, link, one, oncoming))
+def _conflicting_links(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
+    """Return the links that have priority over *link*, the preferred ones first."""
+    links = sorted(priority_links(view, link), key=lambda other: _preference(view, link, other, oncoming))
     if not from_ahead_only:
-        return foes
-    ahead = [one for one in foes if is_oncoming(view, link, one)]
-    return [one for one in ahead if one.direction == "s"] or ahead
+        return links
+    ahead = [other for other in links if is_oncoming(view, link, other)]
+    return [other for other in ahead if other.direction == "s"] or ahead
 
 
-def _stops_m(target: TargetWay) -> float:
-    """Return how far ahead of its centre the front of a careful driver stops that sees cause to now."""
-    return float(target.braked_motion((CAREFUL_STOP_MPS2,), REACTION_S)[0][0, -1]) + 0.5 * float(
-        target.size_m[0]
-    )
+def _stop_distance_m(target: TargetWay) -> float:
+    """Return how far ahead of the target's centre its front stops if a careful driver perceives a reason to now."""
+    braking_m = float(target.braked_motion((CAREFUL_STOP_MPS2,), REACTION_S)[0][0, -1])
+    return braking_m + 0.5 * float(target.size_m[0])
 
 
-def _waits_m(view: SituationView, link: Link, other: Link, meets_m: float) -> float:
-    """Return how far beyond its stop line somebody on *link* waits for *other*, which it would meet at *meets_m*."""
-    return max(meets_m - _WAITS_BEFORE_M, 0.0) if is_oncoming(view, link, other) else 0.0
+def _waits_beyond_line_m(view: SituationView, link: Link, other: Link, conflict_m: float) -> float:
+    """Return how far beyond its line a vehicle on *link* waits for *other*, with the conflict at *conflict_m*."""
+    return max(conflict_m - _WAITS_BEFORE_M, 0.0) if is_oncoming(view, link, other) else 0.0
 
 
 def priority_links(view: SituationView, link: Link) -> list[Link]:
-    """Return the links whose traffic goes first where *link* meets them, and that may be driven now.
+    """Return the links that have priority over *link* and may be driven now.
 
-    That is who has the right of way over *link* or, while that has a red light, who has a green one.
+    These have the right of way over *link* or, if that has a red light, a green light.
     """
     junction = view.road.junctions[link.junction_id]
     lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
-    there = [lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal]
-    others = (other for lane in there for other in lane.successors if other.junction_id == junction.id)
+    incoming = [lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal]
+    others = (other for lane in incoming for other in lane.successors if other.junction_id == junction.id)
     if view.is_red(link):
         foes = junction.foes.get(link.request_index, frozenset())
         return [
@@ -141,93 +143,98 @@ def _may_go(view: SituationView, link: Link) -> bool:
 
 
 def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
+    """Return a sort key, lowest for the preferred direction and for links that go straight on."""
     return is_oncoming(view, link, other) is not oncoming, other.direction != "s"
 
 
 def is_oncoming(view: SituationView, link: Link, other: Link) -> bool:
-    """Return whether who takes *other* comes to the junction head-on to who takes *link*."""
-    own, theirs = (
+    """Return whether vehicles on *other* come to the junction head-on to those on *link*."""
+    own_yaw, other_yaw = (
         float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
     )
-    return abs(float(wrap_angle(own - theirs))) > _ONCOMING_RAD
+    return abs(float(wrap_angle(own_yaw - other_yaw))) > _ONCOMING_RAD
 
 
 @lru_cache(maxsize=4096)
 def conflict_points_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
-    """Return how far beyond their stop lines the centres of two vehicles meet; None where they stay apart."""
-    own, theirs = _over(road, link), _over(road, other)
-    apart = np.hypot(*(own[:, None] - theirs[None]).transpose(2, 0, 1))
-    near = apart.min(axis=1) < _TOUCHES_M
-    if not near.any():
+    """Return how far beyond each stop line the centres of two vehicles meet; None if they stay apart."""
+    own_xy, other_xy = _points_over(road, link), _points_over(road, other)
+    distances = np.hypot(*(own_xy[:, None] - other_xy[None]).transpose(2, 0, 1))
+    is_conflict = distances.min(axis=1) < _CONFLICT_M
+    if not is_conflict.any():
         return None
-    rows = np.flatnonzero(near)
+    rows = np.flatnonzero(is_conflict)
     row = rows[0] if link.to_lane == other.to_lane else rows[len(rows) // 2]
-    return _SPACING_M * float(row), _SPACING_M * float(apart[row].argmin())
+    return _SPACING_M * float(row), _SPACING_M * float(distances[row].argmin())
 
 
-def _over(road: RoadMap, link: Link) -> FloatArray:
-    """Return points every half metre from the stop line to a little beyond the junction."""
+def _points_over(road: RoadMap, link: Link) -> FloatArray:
+    """Return (P, 2) points every half metre from the stop line to a little beyond the junction."""
     line = concatenate([road.lanes[name].line for name in (*link.via, link.to_lane)])
-    inside = sum(road.lanes[name].length_m for name in link.via)
-    return line.at(np.arange(0.0, min(inside + _BEYOND_M, line.length_m), _SPACING_M))[0]
+    inside_m = sum(road.lanes[name].length_m for name in link.via)
+    return line.at(np.arange(0.0, min(inside_m + _BEYOND_M, line.length_m), _SPACING_M))[0]
 
 
 def turn_speed_mps(road: RoadMap, link: Link) -> float:
-    """Return the speed that the junction's lanes of *link* allow who takes it: their limits and bends."""
+    """Return the highest speed over the junction on *link*, by the limits and bends of its lanes."""
     lanes = [road.lanes[name] for name in link.via]
     return min((min(lane.speed_mps, bend_mps(lane)) for lane in lanes), default=np.inf)
 
 
-def _meeting(
+def _arriving_at(
     view: SituationView,
     link: Link,
     arrivals_s: Sequence[float],
-    beyond_m: float,
-    pace: float,
+    conflict_m: float,
+    limit_share: float,
     fastest_mps: float,
 ) -> Iterator[Approach]:
-    """Yield who is *beyond_m* beyond the stop line of *link* at one of *arrivals_s*, at a *pace* of the limit."""
-    limit = min(pace * min(view.road.lanes[link.from_lane].speed_mps, _FASTEST_MPS / pace), fastest_mps)
+    """Yield vehicles that are *conflict_m* beyond the stop line of *link* at one of *arrivals_s*.
+
+    They drive at *limit_share* of the limit, at most 12 m/s or *fastest_mps*, and more slowly on too short a road.
+    """
+    lane_mps = view.road.lanes[link.from_lane].speed_mps
+    limit = min(limit_share * min(lane_mps, _FASTEST_MPS / limit_share), fastest_mps)
     upstream = _upstream(view, link)
-    room = sum(lane.length_m for lane in upstream)
-    for arrives_s in arrivals_s:
-        away = min(limit * arrives_s - beyond_m, room - 1.0)
-        speed = (away + beyond_m) / max(arrives_s, 0.1)
-        if away < _FROM_LINE_M or speed < max(_SHARE * limit, _SLOWEST_MPS):
+    upstream_m = sum(lane.length_m for lane in upstream)
+    for arrival_s in arrivals_s:
+        to_line_m = min(limit * arrival_s - conflict_m, upstream_m - 1.0)
+        speed = (to_line_m + conflict_m) / max(arrival_s, 0.1)
+        if to_line_m < _MIN_TO_LINE_M or speed < max(_SLOWEST_SHARE * limit, _SLOWEST_MPS):
             continue
-        way = _way(view, upstream, link, away)
-        if way is not None and link in (one for _, one in way.links):
+        way = _way_over(view, upstream, link, to_line_m)
+        if way is not None and link in (link_ahead for _, link_ahead in way.links):
             yield Approach(way, min(speed, limit))
 
 
 def _upstream(view: SituationView, link: Link) -> list[Lane]:
-    """Return the lanes that lead straight to *link* by right of way, its own first, internal ones included."""
+    """Return the lanes that lead straight to *link* with right of way, nearest first, internal ones included."""
     lanes = view.road.lanes
-    out = [lanes[link.from_lane]]
-    into = _into(view.road)
-    while sum(lane.length_m for lane in out) < REACH_M:
-        before = into.get(out[-1].id)
+    upstream = [lanes[link.from_lane]]
+    links_into = _straight_links_into(view.road)
+    while sum(lane.length_m for lane in upstream) < REACH_M:
+        before = links_into.get(upstream[-1].id)
         if before is None or before.yields or view.signal(before) not in ("", PROTECTED_GREEN):
             break
-        out += [*(lanes[name] for name in reversed(before.via)), lanes[before.from_lane]]
-    return out
+        upstream += [*(lanes[name] for name in reversed(before.via)), lanes[before.from_lane]]
+    return upstream
 
 
-def _way(view: SituationView, upstream: Sequence[Lane], link: Link, away_m: float) -> Way | None:
-    """Return the way over *link* from *away_m* before its stop line, on *upstream*; None on a junction."""
-    edges, left = [view.road.lanes[link.to_lane].edge_id], away_m
+def _way_over(view: SituationView, upstream: Sequence[Lane], link: Link, to_line_m: float) -> Way | None:
+    """Return the way over *link* that begins on *upstream*, *to_line_m* before its stop line; None on a junction."""
+    edges, left_m = [view.road.lanes[link.to_lane].edge_id], to_line_m
     for lane in upstream:
         if not lane.is_internal:
             edges.append(lane.edge_id)
-        if left < lane.length_m:
-            return (
-                None if lane.is_internal else view.way_from(lane.line.at(lane.length_m - left), edges[::-1])
-            )
-        left -= lane.length_m
+        if left_m < lane.length_m:
+            if lane.is_internal:
+                return None
+            return view.way_from(lane.line.at(lane.length_m - left_m), edges[::-1])
+        left_m -= lane.length_m
     return None
 
 
 @lru_cache(maxsize=4)
-def _into(road: RoadMap) -> Mapping[str, Link]:
+def _straight_links_into(road: RoadMap) -> Mapping[str, Link]:
     """Return lane → the link that leads straight into it."""
     return {link.to_lane: link for link in road.links.values() if link.direction == "s"}

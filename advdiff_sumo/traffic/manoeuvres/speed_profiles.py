@@ -1,4 +1,4 @@
-"""Speed over time: a first acceleration, then another one, between a lowest and a highest speed."""
+"""Speed over time: a first acceleration, then a second one, between a lowest and a highest speed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHECK_DT_S = 0.25
 CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_DT_S) + 1.0) * CHECK_DT_S
 """(24,) instants of a plan at which boxes are compared."""
 FINE_STEPS = 5
-"""Steps of the integration in one of those."""
+"""Integration steps per ``CHECK_DT_S``."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class SpeedProfile:
         first_mps2: acceleration up to ``switch_s``.
         switch_s: when the second one begins.
         then_mps2: acceleration from then on.
-        lowest_mps: speed that braking ends at.
-        highest_mps: speed that accelerating ends at.
+        lowest_mps: speed at which braking ends.
+        highest_mps: speed at which accelerating ends.
     """
 
     first_mps2: float = 0.0
@@ -39,7 +39,7 @@ class SpeedProfile:
 
     @staticmethod
     def table(profiles: list[SpeedProfile]) -> FloatArray:
-        """Return (P, 5) the attributes of *profiles*, in their order."""
+        """Return (P, 5) attributes of *profiles*, in the order of their definition."""
         return np.array(
             [(p.first_mps2, p.switch_s, p.then_mps2, p.lowest_mps, p.highest_mps) for p in profiles]
         ).reshape(len(profiles), 5)
@@ -50,18 +50,18 @@ def drive_profiles(speed_mps: FloatArray, profiles: list[SpeedProfile]) -> tuple
 
     Args:
         speed_mps: (P,) speeds now.
-        profiles: P profiles. A speed beyond a bound now stays as it is until the profile takes it back.
+        profiles: P profiles. A present speed beyond a bound is kept until the profile brings it back.
     """
     first, switch, then, lowest, highest = SpeedProfile.table(profiles).T
-    small = CHECK_DT_S / FINE_STEPS
-    time = small * (np.arange(FINE_STEPS * len(CHECK_TIMES_S)) + 0.5)
-    gain = small * np.where(time[:, None] < switch, first, then)
+    step_s = CHECK_DT_S / FINE_STEPS
+    time = step_s * (np.arange(FINE_STEPS * len(CHECK_TIMES_S)) + 0.5)
+    gain = step_s * np.where(time[:, None] < switch, first, then)
     speed = np.empty((len(time) + 1, len(profiles)))
     speed[0] = speed_mps
-    for k, now in enumerate(speed[:-1]):
-        slowest = np.maximum(np.minimum(lowest, now), 0.0)
-        speed[k + 1] = np.minimum(np.maximum(now + gain[k], slowest), np.maximum(highest, now))
+    for k, before in enumerate(speed[:-1]):
+        slowest = np.maximum(np.minimum(lowest, before), 0.0)
+        speed[k + 1] = np.minimum(np.maximum(before + gain[k], slowest), np.maximum(highest, before))
     speed = np.ascontiguousarray(speed.T)
-    driven = np.cumsum(0.5 * small * (speed[:, 1:] + speed[:, :-1]), axis=1)
-    at = slice(FINE_STEPS - 1, None, FINE_STEPS)
-    return driven[:, at], speed[:, 1:][:, at]
+    driven = np.cumsum(0.5 * step_s * (speed[:, 1:] + speed[:, :-1]), axis=1)
+    at_checks = slice(FINE_STEPS - 1, None, FINE_STEPS)
+    return driven[:, at_checks], speed[:, 1:][:, at_checks]

@@ -1,1 +1,1 @@
-"""Lawful manoeuvres that force the target to act: what can be done, what a driver needs to answer it, which is best."""
+"""Lawful manoeuvres that force the target to respond: proposals, the braking that they require, and the choice."""

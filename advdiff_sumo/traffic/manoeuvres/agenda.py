@@ -1,4 +1,4 @@
-"""The agenda of an episode of "any": which kind it is for now, so that every kind gets its turn."""
+"""The agenda of an episode of "any": the order in which the kinds of manoeuvre have their turns."""
 
 from __future__ import annotations
 
@@ -16,25 +16,29 @@ from advdiff_sumo.traffic.manoeuvres.staging import NO_LEADER_WITHIN_M, can_inse
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, can_insert_queue
 
 TURN_S = 7.0
-"""For so long an episode is for one kind."""
+"""Duration of a turn."""
 TURNING_KINDS = ("cut-out", "hard-stop", "cut-in", "crossing")
-"""Kinds that have turns; a cut-out at the first instant alone."""
+"""Kinds that have turns; a cut-out only at the first instant."""
 _CROSSING_FIRST, _CUT_OUT_FIRST, _QUEUE_FIRST = 0.5, 0.4, 0.2
-_SLOW_FIRST = 0.2
-_AT_FIRST = ("cut-out", QUEUE, *SLOW_ENTRIES)
-"""Kinds that have a turn at the beginning alone."""
-_LATER = ("cut-in", "hard-stop")
-_FORESEES_S = 8.0
+"""Shares of the episodes with a crossing before a cut-in; with a cut-out first; with a queue after that."""
+_SLOW_FIRST = 0.2  # share of the episodes that begin with a given slow entry
+_ONLY_FIRST = ("cut-out", QUEUE, *SLOW_ENTRIES)
+"""Kinds that have a turn only at the beginning."""
+_AFTER_CROSSING = (
+    "cut-in",
+    "hard-stop",
+)  # kinds that give up their turn before a junction where the target must yield
+_FORESIGHT_S = 8.0
 
 
 @dataclass(frozen=True)
 class Agenda:
-    """What an episode is for.
+    """Which kinds an episode aims for, and when.
 
     Attributes:
-        order: kinds in the order of their turns, the present one first; empty where all are wanted at any time.
+        order: kinds in the order of their turns, the present one first; empty if all may come at any time.
         since_s: when the present turn began.
-        crosses_any_time: whether somebody with priority may come in the turn of another kind.
+        crosses_any_time: whether a vehicle with priority may come in the turn of another kind.
     """
 
     order: tuple[str, ...] = ()
@@ -43,26 +47,28 @@ class Agenda:
 
     @staticmethod
     def draw(rng: np.random.Generator, slow: Sequence[str] = ()) -> Agenda:
-        """Return one that begins with what is rarest to be possible: crossing in half of the episodes.
+        """Return a random agenda; kinds that are rarely possible come first.
 
-        A cut-in comes before a hard stop: a leader that came in for one leaves no room for the other. In two of five a
-        cut-out precedes all, which is possible at the first instant alone; in one of five the end of a queue does where
-        no cut-out is possible. One of five begins with each of *slow*, kinds that enter slowly, where that is possible.
+        Half of the episodes begin with a crossing, the others with a cut-in. A hard stop comes last, as its inserted
+        leader would leave no room for a cut-in. Before these, two of five have a cut-out, and half of these a queue
+        after it. Each of *slow*, kinds of slow entries, comes first of all in one of five episodes.
         """
         crossing_first = rng.random() < _CROSSING_FIRST
         order = ("crossing", "cut-in", "hard-stop") if crossing_first else ("cut-in", "crossing", "hard-stop")
-        drawn = rng.spawn(1)[0].random()  # without a draw, which would change all that is drawn after
-        first = ("cut-out", QUEUE) if drawn < _QUEUE_FIRST else ("cut-out",) if drawn < _CUT_OUT_FIRST else ()
+        number = rng.spawn(1)[0].random()  # a draw of a child leaves the later draws of rng unchanged
+        first = (
+            ("cut-out", QUEUE) if number < _QUEUE_FIRST else ("cut-out",) if number < _CUT_OUT_FIRST else ()
+        )
         slow_first = tuple(kind for kind in slow if rng.spawn(1)[0].random() < _SLOW_FIRST)
         return Agenda((*slow_first, *first, *order))
 
     def without(self, kind: str, time_s: float) -> Agenda:
-        """Return the agenda without *kind* if its turn is first, so that the next one's begins at *time_s*."""
+        """Return the agenda with the turn of *kind* ended, if it is the present one; the next begins at *time_s*."""
         return replace(self, order=self.order[1:], since_s=time_s) if self.now == kind else self
 
     @property
     def prioritises_crossing(self) -> bool:
-        """Whether a place where the target may have to yield comes before the kind whose turn it is."""
+        """Whether a junction where the target may have to yield comes before the kind whose turn it is."""
         return bool(self.order) and self.crosses_any_time
 
     @property
@@ -71,22 +77,22 @@ class Agenda:
         return self.order[0] if self.order else ""
 
     def updated(self, view: SituationView) -> Agenda:
-        """Return the agenda in the scene of *view*: a turn is over after ``TURN_S``, or where its kind cannot be."""
+        """Return the agenda in the scene of *view*: a turn ends after ``TURN_S``, or if its kind is not possible."""
         if not self.order:
             return self
         now, order = view.scene.time_s, self.order
-        if order[0] in _LATER and self.prioritises_crossing and approaches_yield_line(view):
-            first = ("crossing", *(kind for kind in order if kind != "crossing"))
-            return replace(self, order=first, since_s=now)
+        if order[0] in _AFTER_CROSSING and self.prioritises_crossing and approaches_yield_line(view):
+            crossing_first = ("crossing", *(kind for kind in order if kind != "crossing"))
+            return replace(self, order=crossing_first, since_s=now)
         if now - self.since_s < TURN_S and is_possible(view, order[0]):
             return self
-        if order[0] in _AT_FIRST:
+        if order[0] in _ONLY_FIRST:
             return replace(self, order=order[1:], since_s=now).updated(view)
         if order[0] == "crossing" and is_possible(view, "crossing"):
-            return self  # a junction takes as long as it takes to get there
-        later = [(*order[k:], *order[:k]) for k in range(1, len(order))]
-        turned = next((one for one in later if is_possible(view, one[0])), order)
-        return replace(self, order=turned, since_s=now)
+            return self  # wait until the target reaches the junction
+        rotated = [(*order[k:], *order[:k]) for k in range(1, len(order))]
+        next_order = next((kinds for kinds in rotated if is_possible(view, kinds[0])), order)
+        return replace(self, order=next_order, since_s=now)
 
 
 def is_possible(view: SituationView, kind: str) -> bool:
@@ -96,39 +102,37 @@ def is_possible(view: SituationView, kind: str) -> bool:
         return True
     if kind in SLOW_ENTRIES:
         return not is_first_plan(view) or can_insert_slow_vehicle(view, kind)
-    if kind in _AT_FIRST:
-        return not is_first_plan(view) or (
-            can_insert_cut_out(view) if kind == "cut-out" else can_insert_queue(view)
-        )
+    if kind in _ONLY_FIRST:
+        can_insert = can_insert_cut_out if kind == "cut-out" else can_insert_queue
+        return not is_first_plan(view) or can_insert(view)
     if kind == "cut-in":
-        beside = any(view.neighbour_way(view.scene.target, side) for side in ("left", "right"))
-        return beside and view.is_clear_to(NO_LEADER_WITHIN_M)
-    return bool(_lets_pass(view, REACH_M))
+        has_lane_beside = any(view.neighbour_way(view.scene.target, side) for side in ("left", "right"))
+        return has_lane_beside and view.is_clear_to(NO_LEADER_WITHIN_M)
+    return bool(_links_with_priority(view, REACH_M))
 
 
 def approaches_yield_line(view: SituationView) -> bool:
-    """Return whether the target comes, alone, to where somebody may have the right of way, lights apart.
+    """Return whether the target will soon reach, unhindered, a junction where others have priority, red lights aside.
 
-    That is the rarest of all encounters: nobody may lead the target then, who would keep it from the junction.
+    This is the rarest of all encounters. No vehicle may lead the target then, as it would keep it from the junction.
     """
     target = view.target
-    reach_m = max(_FORESEES_S * target.speed_mps, 0.5 * REACH_M) if target is not None else 0.0
-    return any(not view.is_red(link) for link in _lets_pass(view, reach_m))
+    reach_m = max(_FORESIGHT_S * target.speed_mps, 0.5 * REACH_M) if target is not None else 0.0
+    return any(not view.is_red(link) for link in _links_with_priority(view, reach_m))
 
 
 def has_red_ahead(view: SituationView) -> bool:
-    """Return whether the next junction shows the target a red light: only one that runs it meets anybody there."""
+    """Return whether the target has a red light at the next junction, where only one that runs it meets anybody."""
     target = view.target
-    ahead = target.way.links if target is not None else ()
-    return any(view.is_red(link) for reach, link in ahead[:1] if 0.0 < reach < REACH_M)
+    links = target.way.links if target is not None else ()
+    return any(view.is_red(link) for line_m, link in links[:1] if 0.0 < line_m < REACH_M)
 
 
-def _lets_pass(view: SituationView, reach_m: float) -> Sequence[Link]:
-    """Return the links ahead, within *reach_m*, where a target that moves arrives alone and others go first."""
+def _links_with_priority(view: SituationView, reach_m: float) -> Sequence[Link]:
+    """Return the target's links within *reach_m* where others have priority, and which it will reach unhindered."""
     target = view.target
     if target is None or target.speed_mps <= SLOWEST_TARGET_MPS:
         return ()
-    ahead = (
-        link for reach, link in target.way.links if 0.0 < reach < reach_m and view.is_clear_on_arrival(reach)
-    )
-    return [link for link in ahead if priority_links(view, link)]
+    near = ((line_m, link) for line_m, link in target.way.links if 0.0 < line_m < reach_m)
+    reachable = (link for line_m, link in near if view.is_clear_on_arrival(line_m))
+    return [link for link in reachable if priority_links(view, link)]

@@ -1,4 +1,4 @@
-"""Which manoeuvres begin beside those under way: the best that go together, that a follower can answer, and lawful."""
+"""Chooses the manoeuvres that begin: the best ones that are lawful, go together and let a follower stop in time."""
 
 from __future__ import annotations
 
@@ -21,60 +21,60 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, can_begin_later
 
-_PATIENCE = ((PATIENCE_S, 0.4),)
-"""Until when (s) an episode waits for a better moment than one of so little merit."""
-_LEADER_PATIENCE = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
-"""The same for a leader that lets the target close up, and which no red light stops soon."""
-_NOW_S = 0.5
-_PROPOSED = {**PROPOSALS, DOUBLE: hard_stop_in_company}
-_TRIED = 4
-"""Manoeuvres that are checked in full, best first."""
+_MIN_MERITS = ((PATIENCE_S, 0.4),)
+"""(time in the episode, merit below which a manoeuvre does not begin until then)."""
+_MIN_LEADER_MERITS = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
+"""The same for a leader that lets the target close up, and that no red light will stop soon."""
+_SOON_S = 0.5  # the follower brakes for a crossing vehicle when the target must respond within this time
+_PROPOSALS = {**PROPOSALS, DOUBLE: hard_stop_in_company}
+_FULLY_CHECKED = 4  # number of manoeuvres that are checked in full, best first
 
 
 def begin(
     view: SituationView, kept: Commitments, going: Sequence[Manoeuvre], room: int, licence: Licence | None
 ) -> list[Chosen]:
-    """Return the best new manoeuvres beside those *going* on, one a vehicle, one that crosses, at most *room*."""
+    """Return the best new manoeuvres beside those *going* on: one for a vehicle, one crossing, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
     busy |= {r for r in view.movable if kept.standing.is_passive(names[r])}
     free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    wanted = kept.startable_kinds(view)
-    possible = [m for row in free for kind in wanted for m in _PROPOSED[kind](view, row)]
+    kinds = kept.startable_kinds(view)
+    possible = [m for row in free for kind in kinds for m in _PROPOSALS[kind](view, row)]
     possible = list(filter_oncoming(view, possible, kept.stage.only_oncoming))
     possible = [m for m in possible if not (m.sets_up and names[m.row] in kept.standing.names)]
-    proposals = [
-        m for m in with_severity(view, possible, kept.intensity) if is_seen_long_enough(view, m, kept.since_s)
-    ]
-    out: list[Chosen] = []
+    adapted = with_severity(view, possible, kept.intensity)
+    proposals = [m for m in adapted if is_seen_long_enough(view, m, kept.since_s)]
+    begun: list[Chosen] = []
     ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
-    patience = _LEADER_PATIENCE if kept.agenda.order and not has_red_ahead(view) else _PATIENCE
-    least = {kind: _least(patience if kind in LEADER_KINDS else _PATIENCE, now) for kind in kept.weights}
-    worthy = [one for one in ranked if one.manoeuvre.sets_up or one.merit >= least[one.manoeuvre.kind]]
-    ready = [one for one in worthy if not can_begin_later(view, one.manoeuvre, one.needed_mps2, licence)]
-    for chosen in ready[:_TRIED]:
-        others = (*going, *(one.manoeuvre for one in out))
-        fits = all(_go_together(chosen.manoeuvre, other) for other in others)
-        if len(out) < room and fits and _spares_follower(view, chosen) and _passes(view, chosen, licence):
-            driven = with_braking(chosen.manoeuvre, kept.intensity.braking_mps2)
-            out.append(replace(chosen, manoeuvre=driven))
-    return out
+    leader_merits = _MIN_LEADER_MERITS if kept.agenda.order and not has_red_ahead(view) else _MIN_MERITS
+    least = {
+        kind: _min_merit(leader_merits if kind in LEADER_KINDS else _MIN_MERITS, now) for kind in kept.weights
+    }
+    good = [c for c in ranked if c.manoeuvre.sets_up or c.merit >= least[c.manoeuvre.kind]]
+    ready = [c for c in good if not can_begin_later(view, c.manoeuvre, c.needed_mps2, licence)]
+    for chosen in ready[:_FULLY_CHECKED]:
+        others = (*going, *(c.manoeuvre for c in begun))
+        fits = len(begun) < room and all(_go_together(chosen.manoeuvre, other) for other in others)
+        if fits and _follower_can_stop(view, chosen) and _has_no_breach(view, chosen, licence):
+            braked = with_braking(chosen.manoeuvre, kept.intensity.braking_mps2)
+            begun.append(replace(chosen, manoeuvre=braked))
+    return begun
 
 
-def _least(patience: Sequence[tuple[float, float]], now_s: float) -> float:
+def _min_merit(merits: Sequence[tuple[float, float]], now_s: float) -> float:
     """Return the merit below which an episode waits for a better moment."""
-    return next((merit for until_s, merit in patience if now_s < until_s), 0.0)
+    return next((merit for until_s, merit in merits if now_s < until_s), 0.0)
 
 
-def _go_together(one: Manoeuvre, other: Manoeuvre) -> bool:
-    """Return whether both can be driven: two that cross would meet each other, and a leader would stop the target."""
-    if one.row == other.row or one.kind == other.kind == "crossing":
+def _go_together(first: Manoeuvre, second: Manoeuvre) -> bool:
+    """Return whether both can be driven: two crossings would collide, and a leader would stop the target before one."""
+    if first.row == second.row or first.kind == second.kind == "crossing":
         return False
-    return "crossing" not in (one.kind, other.kind) or not {one.kind, other.kind} & LEADER_KINDS
+    return "crossing" not in (first.kind, second.kind) or not {first.kind, second.kind} & LEADER_KINDS
 
 
-def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
-    """Return whether who follows the target can brake for it, too."""
+def _follower_can_stop(view: SituationView, chosen: Chosen) -> bool:
+    """Return whether the vehicle behind the target can brake in time, too."""
     behind = view.follower
     if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.sets_up:
         return True
@@ -84,25 +84,25 @@ def _spares_follower(view: SituationView, chosen: Chosen) -> bool:
 def follower_braking(
     view: SituationView, driven: Sequence[Manoeuvre], fresh: Sequence[Manoeuvre], licence: Licence | None
 ) -> list[Manoeuvre]:
-    """Return what who follows the target drives where it has to answer now, if it may be moved and does not yet.
+    """Return the braking of the vehicle behind the target that must begin now, if it may be moved and does not brake.
 
-    It answers one of *fresh*, or of those *driven* somebody who crosses once it is near.
+    It brakes for the *fresh* ones among the manoeuvres *driven*, and for a crossing vehicle once that is near.
     """
     row = view.follower
     if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
     attacks = [m for m in driven if not m.sets_up and (m in fresh or m.kind == "crossing")]
-    times_s = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in SUPPORT_KINDS]
-    soon_s = [time_s for kind, time_s in times_s if kind != "crossing" or time_s < _NOW_S]
-    brakes = braking_behind(view, row, min(soon_s)) if soon_s else None
-    return [brakes] if brakes is not None and still_lawful(view, brakes, licence) else []
+    responses = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in SUPPORT_KINDS]
+    soon_s = [time_s for kind, time_s in responses if kind != "crossing" or time_s < _SOON_S]
+    braking = braking_behind(view, row, min(soon_s)) if soon_s else None
+    return [braking] if braking is not None and still_lawful(view, braking, licence) else []
 
 
-def _passes(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
+def _has_no_breach(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
     """Return whether the breach rules of the verdict find nothing in the plan of *chosen*."""
     if licence is None or chosen.manoeuvre.sets_up:
         return True
     future = chosen.futures
     rows = [chosen.manoeuvre.row]
-    broken = plan_breaches(view, rows, future.xy_m, future.yaw_rad, future.speed_mps)[0]
-    return not (broken - (CARELESS_ALLOWS if licence is not LAWFUL else frozenset()))
+    breaches = plan_breaches(view, rows, future.xy_m, future.yaw_rad, future.speed_mps)[0]
+    return not (breaches - (CARELESS_ALLOWS if licence is not LAWFUL else frozenset()))

@@ -1,4 +1,4 @@
-"""What is remembered of manoeuvres from plan to plan: which are under way, and what an episode asks for."""
+"""What is remembered from plan to plan: the manoeuvres under way, and what the episode aims for."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic
 
 ANY_KINDS = tuple(KINDS)
-"""Kinds that an episode of "any" is made of; with ``SLOW_ENTRIES`` here those get turns, too."""
+"""Kinds in an episode of "any"; if ``SLOW_ENTRIES`` are added here, these get turns, too."""
 SUPPORT_KINDS = (FOLLOWS, WAITS)
-"""Kinds that attack nobody."""
+"""Kinds that do not attack."""
 LEADER_KINDS = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
-"""Kinds of a leader, who keeps the target from where others would cross it."""
+"""Kinds of a leader, which keeps the target from reaching a crossing vehicle."""
 _FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
-"""Classes of the first five who come in, and of every five after them."""
+"""Classes of the first five inserted vehicles, and of every five after them."""
 PATIENCE_S = 2.0 * TURN_S
-"""Until when an episode waits for the kind whose turn it is."""
+"""Until then only the kind whose turn it is, and crossing, may begin."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class Commitment:
     """A manoeuvre under way.
 
     Attributes:
-        kind: which.
-        profile: its speed, as chosen.
+        kind: its kind.
+        profile: its chosen speed over time.
         since_s: when it began.
-        timed_s: when its profile did.
+        timed_s: when its profile began.
         sets_up: whether it only gets into position.
-        delay_s: when, after that, it changes lanes.
-        goal_lane: lane that it changes to; "" where it stays.
-        features: of the encounter as it began, see ``encounter_features``; () where nobody prefers any.
+        delay_s: how long after ``since_s`` it changes lanes.
+        goal_lane: lane that it changes to; "" if it keeps its lane.
+        features: features of the encounter as it began, see ``encounter_features``; () if there is no preference.
     """
 
     kind: str
@@ -62,17 +62,17 @@ class Commitments:
     """What is remembered from plan to plan.
 
     Attributes:
-        weights: kind → how much it is wanted in this episode.
+        weights: kind → weight of its merit in this episode.
         active: id → its manoeuvre.
         rested_s: id → when it may take part again.
-        stage: who has come in for an encounter, and may.
-        agenda: which kind the episode is for now.
-        intensity: severities that are asked for.
-        since_s: id → since when it has been near the target.
-        blocked_s: id → since when the target's box has been on its way, where SUMO does not see it.
-        preference: of encounters in which the target is predicted to fail; None: nothing is known.
-        standing: who stands ahead for an encounter.
-        company: ids of those who accompany the target now, see ``company``.
+        stage: how many vehicles have been inserted, and which ones may be.
+        agenda: which kinds the episode aims for, and when.
+        intensity: prescribed severities.
+        since_s: id → time since when it has been near the target.
+        blocked_s: id → time since when the target's box has blocked its way.
+        preference: for encounters in which the target is predicted to fail; None: nothing is predicted.
+        standing: vehicles that stand ahead for an encounter.
+        company: ids of the vehicles that accompany the target now, see ``company``.
     """
 
     weights: Mapping[str, float]
@@ -90,7 +90,8 @@ class Commitments:
     def startable_kinds(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
 
-        Nobody crosses before a red light out of turn, nor leads a target to where it has to yield.
+        Out of its turn crossing is left out before a red light. Leaders are left out before a junction where the target
+        may have to yield.
         """
         turn = self.agenda.now
         if self.standing.is_queue:
@@ -98,18 +99,16 @@ class Commitments:
         if not turn:
             return tuple(kind for kind in self.weights if kind != QUEUE)
         kinds = self.insertable_kinds(view) if view.scene.time_s < PATIENCE_S else tuple(self.weights)
-        off = (
-            LEADER_KINDS
-            if self.agenda.prioritises_crossing and approaches_yield_line(view)
-            else frozenset[str]()
-        )
-        red = {"crossing"} if turn != "crossing" and has_red_ahead(view) else set[str]()
-        return tuple(kind for kind in self.weights if kind in kinds and kind not in off | red)
+        needs_free_way = self.agenda.prioritises_crossing and approaches_yield_line(view)
+        excluded = LEADER_KINDS if needs_free_way else frozenset[str]()
+        if turn != "crossing" and has_red_ahead(view):
+            excluded |= {"crossing"}
+        return tuple(kind for kind in self.weights if kind in kinds and kind not in excluded)
 
     def insertable_kinds(self, view: SituationView) -> tuple[str, ...]:
-        """Return the kinds for which vehicles come in now.
+        """Return the kinds for which vehicles may be inserted now.
 
-        That is the kind whose turn it is and crossing, which waits for no turn unless it promises too little.
+        These are the kind whose turn it is and crossing, which needs no turn unless too few failures are predicted.
         """
         turn = self.agenda.now
         if self.standing.is_queue:
@@ -121,17 +120,17 @@ class Commitments:
 
     @property
     def attacking(self) -> tuple[str, ...]:
-        """Ids of those in a manoeuvre that are past getting into position for it."""
-        driving = (
+        """Ids of the attackers; vehicles that only get into position are left out."""
+        attackers = (
             name
             for name, under_way in self.active.items()
             if not under_way.sets_up and under_way.kind not in SUPPORT_KINDS
         )
-        return (*driving, *(self.standing.names if self.standing.is_queue else ()))
+        return (*attackers, *(self.standing.names if self.standing.is_queue else ()))
 
     @property
     def manoeuvres(self) -> Mapping[str, str]:
-        """Id → the kind of manoeuvre that it drives, or takes part in; who follows does nothing."""
+        """Id → the kind of manoeuvre that it drives or takes part in; followers are left out."""
         kinds = {
             name: under_way.kind
             for name, under_way in self.active.items()
@@ -151,40 +150,39 @@ class Commitments:
         intensity: Intensity = ANY_SEVERITY,
         preference: EncounterPreference | None = None,
     ) -> Commitments:
-        """Return none, with preferences drawn for *attack*, a kind or "any", so that episodes differ.
+        """Return no commitments, with random weights and turns, so that episodes differ.
 
         Args:
-            attack: the kind.
+            attack: a kind, or "any".
             rng: for the draws.
-            staged: most vehicles that may come in.
-            intensity: severities that are asked for.
-            preference: of encounters, which turns and newcomers follow too where *attack* is "any".
+            staged: most vehicles that may be inserted.
+            intensity: prescribed severities.
+            preference: for encounters; turns and inserted vehicles follow it too if *attack* is "any".
         """
-        asked = "crossing" if attack == ONCOMING else attack
-        slow = () if preference is not None else tuple(kind for kind in SLOW_ENTRIES if kind in ANY_KINDS)
-        kinds = [kind for kind in ANY_KINDS if kind in (*KINDS, *slow)] if asked == "any" else [asked]
+        kind = "crossing" if attack == ONCOMING else attack
+        slow = () if preference is not None else tuple(entry for entry in SLOW_ENTRIES if entry in ANY_KINDS)
+        kinds = [name for name in ANY_KINDS if name in (*KINDS, *slow)] if kind == "any" else [kind]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
-        classes = _newcomers(rng, max(staged, 1))
+        classes = _newcomer_classes(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
         stage = StagingMemory(
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
         agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
         if preference is not None and attack in (QUEUE, DOUBLE, *SLOW_ENTRIES):
-            preference = None  # nothing is predicted of it
+            preference = None  # nothing is predicted for it
         elif preference is not None and attack != "any":
-            preference = replace(preference, kinds=(asked,))
+            preference = replace(preference, kinds=(kind,))
         elif preference is not None:
-            wanted, preference = preference.draw(
-                rng, {one: _FIVE.count(one) / len(_FIVE) for one in _FIVE}, len(classes)
-            )
+            shares = {agent_class: _FIVE.count(agent_class) / len(_FIVE) for agent_class in _FIVE}
+            wanted, preference = preference.draw(rng, shares, len(classes))
             if wanted is not None:
                 stage = replace(stage, classes=wanted.classes, oncoming=wanted.oncoming)
                 agenda = wanted.agenda
         return Commitments(weights, stage=stage, agenda=agenda, intensity=intensity, preference=preference)
 
 
-def _newcomers(rng: np.random.Generator, number: int) -> tuple[AgentClass, ...]:
-    """Return the classes of *number* who come in, every five of them as ``_FIVE``, in an order that is drawn."""
+def _newcomer_classes(rng: np.random.Generator, number: int) -> tuple[AgentClass, ...]:
+    """Return the classes of *number* inserted vehicles: ``_FIVE`` in a new random order for every five of them."""
     fives = rng.random((-(-number // len(_FIVE)), len(_FIVE))).argsort(axis=1)
     return tuple(_FIVE[i] for i in fives.ravel()[:number].tolist())

@@ -1,4 +1,4 @@
-"""Manoeuvres under way: what is left of each, and which are over or no longer lawful."""
+"""Manoeuvres under way: what remains of each, and which ones have ended or are no longer lawful."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_body
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
-_LONGEST_S: Mapping[str, float] = {
+_MAX_DURATION_S: Mapping[str, float] = {
     "blocked-lane": 14.0,
     "hard-stop": 9.0,
     DOUBLE: 9.0,
@@ -43,8 +43,10 @@ _LONGEST_S: Mapping[str, float] = {
     SLOW_MERGE: 10.0,
     PULL_OUT: 12.0,
 }
-_LONGEST_DEFAULT_S = 7.0
-_OVER_LINE_M, _IN_WAY_M, _OFF_MIDDLE_M = 0.2, 1.2, 0.2
+_DEFAULT_MAX_DURATION_S = 7.0
+_OVER_LINE_M = 0.2  # a box that reaches so far into the goal lane has entered it
+_IN_WAY_M = 1.2  # lateral offset up to which the target is on the way of a vehicle
+_OFF_CENTRE_M = 0.2  # offset above which a slow entry still moves to the middle of the goal lane
 
 
 def continue_manoeuvres(
@@ -56,72 +58,74 @@ def continue_manoeuvres(
     active, rested = dict(kept.active), dict(kept.rested_s)
     for name, under_way in kept.active.items():
         row = index.get(name)
-        manoeuvre = _continued(view, row, under_way, kept, licence) if row in view.movable else None
+        manoeuvre = _remaining(view, row, under_way, kept, licence) if row in view.movable else None
         if manoeuvre is not None and still_lawful(view, manoeuvre, licence):
             going.append(manoeuvre)
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
             continue
         del active[name]
         rested[name] = now + (0.0 if under_way.sets_up or under_way.kind == FOLLOWS else pause_s)
-    if all(m.kind in SUPPORT_KINDS for m in going):  # nobody attacks: who follows is its own driver again
+    if all(m.kind in SUPPORT_KINDS for m in going):  # without an attack, SUMO drives the follower
         going = [m for m in going if m.kind != FOLLOWS]
         active = {name: under_way for name, under_way in active.items() if under_way.kind != FOLLOWS}
     return going, replace(kept, active=active, rested_s=rested)
 
 
-def _continued(
+def _remaining(
     view: SituationView,
     row: int | None,
     under_way: Commitment,
     kept: Commitments,
     licence: Licence | None,
 ) -> Manoeuvre | None:
-    """Return the rest of a manoeuvre; None where it is over."""
+    """Return what remains of a manoeuvre; None if it has ended."""
     intensity = kept.intensity
-    passed = view.scene.time_s - under_way.since_s
-    longest = _LONGEST_S.get(under_way.kind, _LONGEST_DEFAULT_S)
-    if row is None or under_way.sets_up or passed >= longest:
+    passed_s = view.scene.time_s - under_way.since_s
+    max_duration_s = _MAX_DURATION_S.get(under_way.kind, _DEFAULT_MAX_DURATION_S)
+    if row is None or under_way.sets_up or passed_s >= max_duration_s:
         return None
     if under_way.kind in ENDS_STANDING and _target_stands(view) and view.speed(row) < AS_GOOD_AS_STANDS_MPS:
-        return None  # both stand: the question is answered
+        return None  # both stand: the encounter is over
     if under_way.kind in LEADER_KINDS and not _is_ahead(view, row):
-        return None  # the target has left its lane, or is past it
+        return None  # the target has left its lane, or has passed the leader
     if under_way.kind == "crossing":
-        if _is_before(view, row):
-            return None  # who has come out ahead of it is a leader
-        timed = list(filter_oncoming(view, continued_crossings(view, row), kept.stage.only_oncoming))
-        again = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
-        holds = intensity.is_prescribed_for("crossing") and target_brakes(view)
-        if again and not holds and not (again[0].needed_mps2 == 0.0 and _target_stands(view)):
-            return again[0].manoeuvre
+        if _target_leads(view, row):
+            return None  # the target now drives ahead of it, as its leader
+        crossings = continued_crossings(view, row)
+        timed = list(filter_oncoming(view, crossings, kept.stage.only_oncoming))
+        ranked = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
+        keeps_profile = intensity.is_prescribed_for("crossing") and target_brakes(view)
+        if ranked and not keeps_profile and not (ranked[0].needed_mps2 == 0.0 and _target_stands(view)):
+            return ranked[0].manoeuvre
         if _target_stands(view):
             return None
-    begun = under_way.profile
-    rest = replace(begun, switch_s=max(begun.switch_s - (view.scene.time_s - under_way.timed_s), 0.0))
+    profile = under_way.profile
+    switch_s = max(profile.switch_s - (view.scene.time_s - under_way.timed_s), 0.0)
+    profile = replace(profile, switch_s=switch_s)
     if under_way.kind == "crossing":  # a lane of a junction may have another limit
         limit = max(view.ways[row].lane.speed_mps, view.speed(row))
-        rest = replace(rest, highest_mps=min(rest.highest_mps, limit))
+        profile = replace(profile, highest_mps=min(profile.highest_mps, limit))
     goal = _goal(view, row, under_way)
-    delay_s = max(under_way.delay_s - passed, 0.0)
+    delay_s = max(under_way.delay_s - passed_s, 0.0)
     body = slow_body(view, row) if under_way.kind in SLOW_ENTRIES else None
-    manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], rest, goal, delay_s=delay_s, body=body)
+    manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], profile, goal, delay_s=delay_s, body=body)
     if under_way.kind == "cut-in" and licence is not None:
-        return _cutting_in(view, manoeuvre, intensity)
+        return _remaining_cut_in(view, manoeuvre, intensity)
     return manoeuvre if under_way.kind != FOLLOWS or still_follows(view, manoeuvre) else None
 
 
-def _cutting_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity) -> Manoeuvre | None:
-    """Return *manoeuvre* as it slows once it is over the line; None where that would leave the target no answer."""
+def _remaining_cut_in(view: SituationView, manoeuvre: Manoeuvre, intensity: Intensity) -> Manoeuvre | None:
+    """Return the cut-in, which brakes only once it is over the line; None if no braking of the target would suffice."""
     goal = manoeuvre.goal
-    over = goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M
-    if goal is None or (over and manoeuvre.profile.switch_s == 0.0):
+    is_over = goal is None or _over_line_m(view, manoeuvre.row, goal) > INTRUSION_M
+    if goal is None or (is_over and manoeuvre.profile.switch_s == 0.0):
         return manoeuvre
-    later = manoeuvre if over else _slowing_once_over(view, manoeuvre, goal)
-    return later if intensity.is_prescribed_for("cut-in") or _is_answerable(view, later) else None
+    delayed = manoeuvre if is_over else _braking_once_over(view, manoeuvre, goal)
+    return delayed if intensity.is_prescribed_for("cut-in") or _can_target_avoid(view, delayed) else None
 
 
-def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> Manoeuvre:
-    """Return *manoeuvre*, which slows on the lane of *goal* alone, however long it takes to get there."""
+def _braking_once_over(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> Manoeuvre:
+    """Return *manoeuvre* with braking only on the lane of *goal*, however long it takes to get there."""
     row = manoeuvre.row
     within_m = _half_widths_m(view, row, goal) - INTRUSION_M
     enters_s = manoeuvre.enters_s(view.scene.history.xy_m[row, -1], within_m)
@@ -129,15 +133,15 @@ def _slowing_once_over(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> 
     return replace(manoeuvre, profile=replace(profile, switch_s=max(profile.switch_s, enters_s)))
 
 
-def _is_answerable(view: SituationView, manoeuvre: Manoeuvre) -> bool:
-    """Return whether some braking keeps the target clear of who cuts in, from when it is there and slows on."""
+def _can_target_avoid(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+    """Return whether some braking keeps the target clear of *manoeuvre*; True if the target is on no lane."""
     if view.target is None:
         return True
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
     return bool(demanded_braking(view, view.target, [manoeuvre], futures)[0] <= BRAKING_MPS2[-1])
 
 
-def _is_before(view: SituationView, row: int) -> bool:
+def _target_leads(view: SituationView, row: int) -> bool:
     """Return whether the target drives ahead of *row* on its way, in the same direction."""
     target = view.target
     if target is None:
@@ -149,7 +153,7 @@ def _is_before(view: SituationView, row: int) -> bool:
 
 
 def _is_ahead(view: SituationView, row: int) -> bool:
-    """Return whether *row* is ahead of the target on its way, or not wholly beside it."""
+    """Return whether *row* is ahead of the target, and their boxes overlap laterally."""
     target = view.target
     if target is None:
         return True
@@ -164,39 +168,42 @@ def _target_stands(view: SituationView) -> bool:
 def _goal(view: SituationView, row: int, under_way: Commitment) -> Way | None:
     """Return the way that *row* is still changing to; None once it is on it."""
     if under_way.kind in SLOW_ENTRIES and view.ways[row].present_lane.id == under_way.goal_lane:
-        return view.ways[row] if abs(view.ways[row].lane.offset_m) > _OFF_MIDDLE_M else None
+        return view.ways[row] if abs(view.ways[row].lane.offset_m) > _OFF_CENTRE_M else None
     if under_way.kind in ("cut-out", *SLOW_ENTRIES):
-        sides = (view.neighbour_way(row, side) for side in ("left", "right"))
-        return next((way for way in sides if way and way.present_lane.id == under_way.goal_lane), None)
+        ways = (view.neighbour_way(row, side) for side in ("left", "right"))
+        return next((way for way in ways if way and way.present_lane.id == under_way.goal_lane), None)
     if under_way.kind != "cut-in":
         return None
-    again = [m.goal for m in KINDS["cut-in"](view, row) if m.goal is not None]
-    return again[0] if again else None
+    goals = [m.goal for m in KINDS["cut-in"](view, row) if m.goal is not None]
+    return goals[0] if goals else None
 
 
 def still_lawful(view: SituationView, manoeuvre: Manoeuvre, licence: Licence | None) -> bool:
-    """Return whether *manoeuvre* goes on: with the gap that the rule asks for, and none once it is over the line."""
+    """Return whether *manoeuvre* may go on.
+
+    It must leave the gap of the rule, without a margin, and none any more once it is over the line.
+    """
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
     if licence is not None:
         licence = replace(licence, gap_share=min(licence.gap_share, 1.0), spare_m=0.0)
     goal = manoeuvre.goal
-    if goal is not None and _is_over_line(view, manoeuvre, goal):
+    if goal is not None and _has_entered(view, manoeuvre, goal):
         manoeuvre = replace(manoeuvre, goal=None)
     return bool(lawful_mask(view, [manoeuvre], futures, licence, begun=True)[0])
 
 
-def _is_over_line(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> bool:
+def _has_entered(view: SituationView, manoeuvre: Manoeuvre, goal: Way) -> bool:
     if manoeuvre.body is not None:
         return manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1]) == 0.0
     return _over_line_m(view, manoeuvre.row, goal) > _OVER_LINE_M
 
 
 def _over_line_m(view: SituationView, row: int, goal: Way) -> float:
-    """Return by how much the box of *row* reaches into the lane of *goal*; negative where it does not."""
+    """Return by how much the box of *row* reaches into the lane of *goal*; negative if it does not."""
     across = abs(float(goal.line.project(view.scene.history.xy_m[row, -1])[1]))
     return _half_widths_m(view, row, goal) - across
 
 
 def _half_widths_m(view: SituationView, row: int, goal: Way) -> float:
-    """Return half the lane of *goal* and half of *row*: so far apart, their edges touch."""
+    """Return half the width of *goal*'s lane and of *row*: the distance of their centres when their edges touch."""
     return 0.5 * float(goal.present_lane.width_m + view.size(row)[1])

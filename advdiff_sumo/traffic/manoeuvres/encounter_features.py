@@ -1,4 +1,4 @@
-"""An encounter in numbers: what the probability that the target fails in it is predicted from."""
+"""Features of an encounter, from which the probability that the target fails in it is predicted."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import AS_GOOD_AS_STANDS_MPS, KI
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 CIRCUMSTANCES = (
-    "needed_braking",  # of a careful driver, in 5 m/s², 0 at 5 m/s²
+    "needed_braking",  # required deceleration of a careful driver, in 5 m/s², 0 at 5 m/s²
     "target_speed",  # in 5 m/s, 0 at 10 m/s
-    "closing_speed",  # target's less the other's along the target's heading, in 10 m/s
+    "closing_speed",  # of the target, relative to the other along the target's heading, in 10 m/s
     "distance",  # of the centres, in 30 m, 0 at 30 m
     "brakes",  # hardest braking of the other, in 8 m/s²
     "heavy",  # the other is a truck or bus
     "unprotected",  # it is a motorcycle or bicycle
-    "oncoming",  # it comes from ahead, heading within 60° of the opposite one
+    "oncoming",  # its heading is within 60° of the opposite of the target's
     "from_side",  # its heading is more than 60° off the target's, and it is not oncoming
-    "aside",  # sine of its bearing from the target's heading, without sign
+    "aside",  # absolute sine of its bearing from the target's heading
     "stands",  # it stands
     "red",  # the target has a red light where it would meet the other
 )
-"""Features after one flag for each of ``repertoire.KINDS``; about whom the target has to mind."""
+"""Features of the other vehicle, which follow one flag for each of ``repertoire.KINDS``."""
 FEATURES = (*KINDS, *CIRCUMSTANCES)
-"""All D features; of two kinds no flag is 1 at once."""
+"""All D features; exactly one flag of a kind is 1."""
 UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE)
-_ACROSS = 0.5
+_ACROSS = 0.5  # cosine of 60°
 
 
 def encounter_features(
@@ -43,50 +43,51 @@ def encounter_features(
     Args:
         view: the scene; its target is on a lane.
         manoeuvres: C of them.
-        needed_mps2: (C,) braking of a careful driver in the target's place.
+        needed_mps2: (C,) required deceleration of a careful driver in the target's place.
     """
-    out = np.zeros((len(manoeuvres), len(FEATURES)))
+    features = np.zeros((len(manoeuvres), len(FEATURES)))
     for k, (manoeuvre, needed) in enumerate(zip(manoeuvres, needed_mps2.tolist(), strict=True)):
-        out[k, FEATURES.index(manoeuvre.kind)] = 1.0
-        out[k, len(KINDS) :] = _circumstances(view, manoeuvre, needed)
-    return out
+        features[k, FEATURES.index(manoeuvre.kind)] = 1.0
+        features[k, len(KINDS) :] = _circumstances(view, manoeuvre, needed)
+    return features
 
 
 def with_vehicle(features: FloatArray, agent_class: AgentClass, oncoming: bool | None = None) -> FloatArray:
-    """Return *features* (…, D) as they would be with another *agent_class*, and from ahead or the side if said so."""
-    out = features.copy()
-    out[..., FEATURES.index("heavy")] = agent_class in HEAVY_CLASSES
-    out[..., FEATURES.index("unprotected")] = agent_class in UNPROTECTED
+    """Return *features* (…, D) with another *agent_class* and, unless *oncoming* is None, from ahead or the side."""
+    changed = features.copy()
+    changed[..., FEATURES.index("heavy")] = agent_class in HEAVY_CLASSES
+    changed[..., FEATURES.index("unprotected")] = agent_class in UNPROTECTED
     if oncoming is not None:
-        out[..., FEATURES.index("oncoming")] = oncoming
-        out[..., FEATURES.index("from_side")] = not oncoming
-    return out
+        changed[..., FEATURES.index("oncoming")] = oncoming
+        changed[..., FEATURES.index("from_side")] = not oncoming
+    return changed
 
 
 def _circumstances(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float) -> tuple[float, ...]:
-    now, target = view.scene.history, view.scene.target
+    """Return the values of ``CIRCUMSTANCES`` for one manoeuvre."""
+    history, target = view.scene.history, view.scene.target
     row = manoeuvre.row if manoeuvre.revealed_row is None else manoeuvre.revealed_row
-    turned = float(np.cos(wrap_angle(float(now.yaw_rad[row, -1] - now.yaw_rad[target, -1]))))
-    offset = now.xy_m[row, -1] - now.xy_m[target, -1]
-    bearing = np.arctan2(offset[1], offset[0]) - now.yaw_rad[target, -1]
-    profile, own, other = manoeuvre.profile, view.speed(target), view.speed(row)
+    cosine = float(np.cos(wrap_angle(float(history.yaw_rad[row, -1] - history.yaw_rad[target, -1]))))
+    offset = history.xy_m[row, -1] - history.xy_m[target, -1]
+    bearing = np.arctan2(offset[1], offset[0]) - history.yaw_rad[target, -1]
+    profile, target_mps, other_mps = manoeuvre.profile, view.speed(target), view.speed(row)
     hardest = max(-profile.first_mps2, -profile.then_mps2, 0.0)
     return (
         min(needed_mps2, BRAKING_MPS2[-1]) / 5.0 - 1.0,
-        own / 5.0 - 2.0,
-        (own - other * turned) / 10.0,
+        target_mps / 5.0 - 2.0,
+        (target_mps - other_mps * cosine) / 10.0,
         float(np.hypot(*offset)) / 30.0 - 1.0,
         hardest / 8.0,
-        float(now.classes[row] in HEAVY_CLASSES),
-        float(now.classes[row] in UNPROTECTED),
-        float(turned < -_ACROSS),
-        float(abs(turned) <= _ACROSS),
+        float(history.classes[row] in HEAVY_CLASSES),
+        float(history.classes[row] in UNPROTECTED),
+        float(cosine < -_ACROSS),
+        float(abs(cosine) <= _ACROSS),
         abs(float(np.sin(bearing))),
-        float(other < AS_GOOD_AS_STANDS_MPS),
-        float(_is_red(view, manoeuvre)),
+        float(other_mps < AS_GOOD_AS_STANDS_MPS),
+        float(_target_has_red(view, manoeuvre)),
     )
 
 
-def _is_red(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+def _target_has_red(view: SituationView, manoeuvre: Manoeuvre) -> bool:
     links = crossing_links(view, manoeuvre.row) if manoeuvre.kind == "crossing" else None
     return links is not None and view.is_red(links[1])

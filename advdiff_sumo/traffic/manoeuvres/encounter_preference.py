@@ -1,7 +1,7 @@
-"""Which encounters an episode goes for, where it is known in which ones the target fails.
+"""Which encounters an episode aims for, if it is known in which ones the target fails.
 
-Turns, classes of vehicle and sides are drawn the more often the more failures are predicted, and manoeuvres are
-ranked by them; a share of the episodes draws as if nothing were known, so that findings stay diverse.
+Turns, classes of vehicles and their sides are drawn more often the more failures are predicted for them, and manoeuvres
+are ranked by these predictions. A share of the episodes draws without them, so that findings stay diverse.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 EXPLORATION_SHARE = 0.15
-"""Share of the episodes that draw as if nothing were known."""
+"""Share of the episodes that draw without predictions."""
 _TURNS = 4
-_GREED = 3.0
-"""Power of the failures that are predicted, in whose proportion is drawn."""
+_PREFERENCE_POWER = 3.0
+"""Encounters are drawn in proportion to this power of their predicted failures."""
 _PROBES = ("hard-stop", "hard-stop", "hard-stop", "cut-in", "crossing", "cut-in", "crossing")
-"""Kinds of a warm-up's questions; three stops by different vehicles tell kind and vehicle apart."""
+"""Kinds that a warm-up probes; three stops by different vehicles tell the effects of kind and vehicle apart."""
 _CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.MOTORCYCLE)
-_WORTHLESS = 0.2
-"""What promises less than this share of the best encounter does not begin: it would take the other's place."""
-_AT_ANY_TIME = 0.5
-"""Somebody with priority may come in the turn of another kind where it promises this share of the best kind's."""
+_MIN_SHARE_OF_BEST = 0.2
+"""An encounter with fewer predicted failures than this share of the best one's does not begin: it would replace it."""
+_CROSSING_SHARE = 0.5
+"""A vehicle with priority may come in the turn of another kind if it has this share of the best kind's prediction."""
 
 
 @dataclass(frozen=True)
 class EncounterPreference:
-    """What is predicted of the target.
+    """Predictions about the target.
 
     Attributes:
-        predictor: of its failures.
-        explores: share of the episodes that draw as if nothing were known.
-        probe: number of the question of a warm-up, for which kinds and classes take turns; None: there is none.
-        kinds: of the encounters that may come.
+        predictor: predictor of its failures.
+        exploration_share: share of the episodes that draw without predictions.
+        probe: number of the warm-up's probe, for which kinds and classes take turns; None: this is no warm-up.
+        kinds: kinds of the encounters that may come.
     """
 
     predictor: FailurePredictor
-    explores: float = EXPLORATION_SHARE
+    exploration_share: float = EXPLORATION_SHARE
     probe: int | None = None
     kinds: tuple[str, ...] = tuple(KINDS)
 
     @staticmethod
     def read(path: Path) -> EncounterPreference:
-        """Read what a lawful warm-up wrote.
+        """Read the file of a lawful warm-up.
 
         Raises:
             WeightsError: the file is missing, damaged, or no such one.
@@ -64,34 +64,35 @@ class EncounterPreference:
     def rate(
         self, view: SituationView, proposals: Sequence[Manoeuvre], needed_mps2: FloatArray
     ) -> tuple[list[tuple[float, ...]], FloatArray]:
-        """Return features of *proposals* and (C,) what each is worth by the failures that are predicted of it.
+        """Return features of *proposals*, and (C,) factors on their merit that follow from the predicted failures.
 
-        1 for the best one and for getting into position; 0 for who keeps a far better encounter from coming.
+        The factor is 1 for the best one and for getting into position. It is 0 for one that would keep a far better
+        encounter from coming.
         """
         features = encounter_features(view, proposals, needed_mps2)
-        return [tuple(row) for row in features.tolist()], self._worth(
-            features, np.array([one.sets_up for one in proposals])
+        return [tuple(row) for row in features.tolist()], self._factors(
+            features, np.array([manoeuvre.sets_up for manoeuvre in proposals])
         )
 
-    def _worth(self, features: FloatArray, sets_up: BoolArray) -> FloatArray:
-        if self.explores == 1.0 or sets_up.all():
+    def _factors(self, features: FloatArray, sets_up: BoolArray) -> FloatArray:
+        if self.exploration_share == 1.0 or sets_up.all():
             return np.ones(len(features))
         predicted = self.predictor.probability(features)
-        predicted[~sets_up & (predicted < _WORTHLESS * self._most)] = 0.0
+        predicted[~sets_up & (predicted < _MIN_SHARE_OF_BEST * self._best_prediction)] = 0.0
         return np.where(sets_up, 1.0, predicted / max(predicted[~sets_up].max(), np.finfo(np.float64).tiny))
 
     @cached_property
-    def _most(self) -> float:
-        """The failures predicted of the best encounter of ``kinds``."""
+    def _best_prediction(self) -> float:
+        """The predicted failures of the best encounter of ``kinds``."""
         return max(
-            self.predicted_failures(kind, one, side)
+            self.predicted_failures(kind, agent_class, oncoming)
             for kind in self.kinds
-            for one in _CLASSES
-            for side in (False, True)
+            for agent_class in _CLASSES
+            for oncoming in (False, True)
         )
 
     def predicted_failures(self, kind: str, agent_class: AgentClass, oncoming: bool) -> float:
-        """Return the failures predicted of the mean encounter of *kind* with such a vehicle."""
+        """Return the predicted failures of the mean encounter of *kind* with such a vehicle."""
         typical = self.predictor.typical[tuple(KINDS).index(kind)]
         features = with_vehicle(typical, agent_class, oncoming if kind == "crossing" else None)
         return float(self.predictor.probability(features[None])[0])
@@ -99,57 +100,61 @@ class EncounterPreference:
     def draw(
         self, rng: np.random.Generator, shares: Mapping[AgentClass, float], count: int
     ) -> tuple[Wanted | None, EncounterPreference]:
-        """Return what an episode goes for, and what it prefers; where it explores, None and nothing.
+        """Return what an episode aims for, and its preference; None and no preference if it explores.
 
         Args:
             rng: for the draws.
-            shares: class → how often it comes in where nothing is known.
-            count: classes to draw.
+            shares: class → share of the inserted vehicles if nothing is predicted.
+            count: number of classes to draw.
         """
         if self.probe is not None:
             kind = probed_kind(self.probe)
             agenda = Agenda(tuple(dict.fromkeys((kind, "hard-stop"))), crosses_any_time=False)
             wanted = Wanted(agenda, (probed_class(self.probe),) * count, oncoming=bool(self.probe % 2))
-            return wanted, replace(self, explores=1.0)
-        if rng.random() < self.explores:
-            return None, replace(self, explores=1.0)
+            return wanted, replace(self, exploration_share=1.0)
+        if rng.random() < self.exploration_share:
+            return None, replace(self, exploration_share=1.0)
         return self._wanted(rng, shares, count), self
 
     def _wanted(self, rng: np.random.Generator, shares: Mapping[AgentClass, float], count: int) -> Wanted:
-        table = self._table(shares)
-        of_kinds, of_classes = table.sum(axis=(1, 2)), table.sum(axis=(0, 2))
-        least = _AT_ANY_TIME**_GREED * of_kinds.max()
-        across = table[TURNING_KINDS.index("crossing")].sum(axis=0)
-        hides = int(rng.random() < of_kinds[0] / of_kinds.sum())  # the first instant alone allows a cut-out
-        turns = rng.choice(TURNING_KINDS[1:], size=_TURNS, p=of_kinds[1:] / of_kinds[1:].sum()).tolist()
-        rest = [kind for kind in TURNING_KINDS[1:] if kind not in turns]
-        classes = rng.choice(len(shares), size=count, p=of_classes / of_classes.sum()).tolist()
+        weights = self._weights(shares)
+        by_kind, by_class = weights.sum(axis=(1, 2)), weights.sum(axis=(0, 2))
+        least = _CROSSING_SHARE**_PREFERENCE_POWER * by_kind.max()
+        by_direction = weights[TURNING_KINDS.index("crossing")].sum(axis=0)
+        cut_outs = int(rng.random() < by_kind[0] / by_kind.sum())  # possible only at the first instant
+        turns = rng.choice(TURNING_KINDS[1:], size=_TURNS, p=by_kind[1:] / by_kind[1:].sum()).tolist()
+        not_drawn = [kind for kind in TURNING_KINDS[1:] if kind not in turns]
+        classes = rng.choice(len(shares), size=count, p=by_class / by_class.sum()).tolist()
         return Wanted(
             Agenda(
-                (*TURNING_KINDS[:hides], *turns, *rest),
-                crosses_any_time=bool(of_kinds[TURNING_KINDS.index("crossing")] >= least),
+                (*TURNING_KINDS[:cut_outs], *turns, *not_drawn),
+                crosses_any_time=bool(by_kind[TURNING_KINDS.index("crossing")] >= least),
             ),
             tuple([*shares][k] for k in classes),
-            oncoming=bool(rng.random() < across[1] / across.sum()),
+            oncoming=bool(rng.random() < by_direction[1] / by_direction.sum()),
         )
 
-    def _table(self, shares: Mapping[AgentClass, float]) -> FloatArray:
-        """Return (K, C, 2) how often each of ``TURNING_KINDS`` is drawn with each class, from side and ahead."""
-        promised = [
-            [[self.predicted_failures(kind, one, oncoming) for oncoming in (False, True)] for one in shares]
+    def _weights(self, shares: Mapping[AgentClass, float]) -> FloatArray:
+        """Return (K, C, 2) weights of each of ``TURNING_KINDS`` with each class, from the side and from ahead."""
+        predicted = [
+            [
+                [self.predicted_failures(kind, agent_class, oncoming) for oncoming in (False, True)]
+                for agent_class in shares
+            ]
             for kind in TURNING_KINDS
         ]
-        return np.asarray(np.array(promised) ** _GREED * np.array([*shares.values()])[:, None] / 2.0)
+        powers = np.array(predicted) ** _PREFERENCE_POWER
+        return np.asarray(powers * np.array([*shares.values()])[:, None] / 2.0)
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an episode goes for.
+    """What an episode aims for.
 
     Attributes:
         agenda: kinds in the order of their turns.
-        classes: what comes in first, second, ….
-        oncoming: whether somebody with priority comes from ahead rather than from the side.
+        classes: classes of the vehicles that are inserted, in their order.
+        oncoming: whether vehicles with priority come from ahead rather than from the side.
     """
 
     agenda: Agenda
@@ -158,16 +163,17 @@ class Wanted:
 
 
 def probed_kind(probe: int) -> str:
-    """Return the kind of manoeuvre that question number *probe* of a warm-up asks about."""
+    """Return the kind of manoeuvre that is tried in probe number *probe* of a warm-up."""
     return _PROBES[probe % len(_PROBES)]
 
 
 def probed_class(probe: int) -> AgentClass:
-    """Return what comes in for question number *probe* of a warm-up."""
+    """Return the class of the vehicles that are inserted in probe number *probe* of a warm-up."""
     return _CLASSES[probe % len(_CLASSES)]
 
 
 def answers(probe: int, features: FloatArray) -> bool:
-    """Return whether one of the encounters with *features* (N, D) was of the kind and class of vehicle asked for."""
-    kind = features[:, FEATURES.index(probed_kind(probe))] == 1.0
-    return bool((kind & (features == with_vehicle(features, probed_class(probe))).all(axis=-1)).any())
+    """Return whether one of the encounters with *features* (N, D) has the kind and vehicle of probe number *probe*."""
+    is_kind = features[:, FEATURES.index(probed_kind(probe))] == 1.0
+    is_class = (features == with_vehicle(features, probed_class(probe))).all(axis=-1)
+    return bool((is_kind & is_class).any())

@@ -16,10 +16,8 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 SPEEDING_UP_MPS2 = 0.5
 """Acceleration towards the limit."""
 _SLOWING_MPS2, _MAX_SLOWING_MPS2 = 2.5, 4.0  # planned deceleration; the hardest, if the limit comes too soon
-_LATERAL_MPS2, _MAX_LATERAL_MPS2 = (
-    2.5,
-    4.0,
-)  # lateral acceleration in a bend: usual; the highest that is accepted
+_LATERAL_MPS2, _MAX_LATERAL_MPS2 = 2.5, 4.0
+"""Lateral acceleration in a bend: usual; the highest that is accepted."""
 _SLOWING_FOR_BENDS_MPS2 = 3.0
 _STRAIGHT_RAD = 0.2  # an internal lane that turns by less has no bend
 FINE_DT_S = CHECK_DT_S / FINE_STEPS

@@ -20,10 +20,8 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 
 _BEFORE_LINE_M = 0.5  # gap from the front of a waiting vehicle to its line
-_SPARE_S, _SPARE_M = (
-    1.0,
-    1.5,
-)  # time and distance that a vehicle must leave to the target at the conflict point
+_SPARE_S, _SPARE_M = 1.0, 1.5
+"""Time and distance that a vehicle must leave to the target at the conflict point."""
 _AT_LINE_M = 15.0  # a vehicle this near to its line has come to the junction
 
 

@@ -71,9 +71,8 @@ def _is_lawful(
     # the time of a crossing is computed for one speed, also in a turn
     if manoeuvre.kind != "crossing" and not can_slow_for_bends(way, set_up_m, set_up_mps):
         return False
-    check_steps = (
-        _CROSSING_CHECK_STEPS[begun] if manoeuvre.kind == "crossing" else None
-    )  # later, others have yielded
+    # later than this, others have yielded to a crossing vehicle
+    check_steps = _CROSSING_CHECK_STEPS[begun] if manoeuvre.kind == "crossing" else None
     driven_m = float(futures.driven_m[k, -1])
     lines_within_m = driven_m if check_steps is None else float(futures.driven_m[k, _CROSSED_STEPS])
     if manoeuvre.sets_up:  # it is planned anew at once, and can still stop

@@ -1,4 +1,4 @@
-"""Manoeuvres over time: carried on while they are lawful and of use, begun, and who comes in for them."""
+"""Manoeuvres over time: continues those that are lawful and useful, begins new ones, and inserts vehicles for them."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, insert_newcomers
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraffic, insert_queue
 
-_TRIES_AGAIN_S = 1.0
-"""When a queue for which there was no room is tried again, further on."""
+_RETRY_S = 1.0
+"""After this time a queue for which there was no room is tried again, farther on."""
 
 
 def advance(
     view: SituationView, kept: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
 ) -> tuple[list[Manoeuvre], Commitments]:
-    """Return the manoeuvres that are driven now, and what is remembered of them.
+    """Return the manoeuvres that are driven now, and the updated memory.
 
     Args:
         view: the scene.
-        kept: from the plan before.
-        attackers: most vehicles that are in a manoeuvre at a time.
+        kept: memory of the plan before.
+        attackers: most vehicles in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
@@ -44,8 +44,8 @@ def advance(
         going += [m for m in waiting_manoeuvres(view, kept.blocked_s) if m.row not in busy]
     room = attackers - sum(m.kind not in SUPPORT_KINDS for m in going)
     chosen = begin(view, kept, going, room, licence) if room > 0 else []
-    features = {one.manoeuvre.row: one.features for one in chosen}
-    fresh = [one.manoeuvre for one in chosen]
+    features = {choice.manoeuvre.row: choice.features for choice in chosen}
+    fresh = [choice.manoeuvre for choice in chosen]
     fresh += follower_braking(view, [*going, *fresh], fresh, licence)
     driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
     company = (
@@ -55,23 +55,22 @@ def advance(
     )
     kept = replace(kept, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    standing = kept.standing.without({name for name, one in begun.items() if not one.sets_up})
+    standing = kept.standing.without({name for name, under_way in begun.items() if not under_way.sets_up})
     return [*driven, *company], replace(kept, active={**kept.active, **begun}, standing=standing)
 
 
 def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
-    """Return who comes in now, for the manoeuvres that may begin, and what is remembered of them.
+    """Return the vehicles that are inserted now, for the manoeuvres that may begin, and the updated memory.
 
-    Who stands is among what is remembered alone.
+    Standing vehicles are only in the memory.
     """
-    kept = _still_standing(view, kept)
+    kept = _update_standing(view, kept)
     busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
     kinds = [kind for kind in kept.insertable_kinds(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
     if kept.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):
-        kinds = [
-            kind for kind in kinds if kind == "crossing"
-        ]  # a leader would keep the target from the junction
+        # a leader would keep the target from the junction
+        kinds = [kind for kind in kinds if kind == "crossing"]
     if QUEUE in kinds:
         standing, stage = insert_queue(view, kept.stage, kept.standing)
         kept = replace(kept, standing=standing, stage=stage)
@@ -81,30 +80,30 @@ def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...]
             standing, stage = insert_slow_vehicle(view, kept.stage, kept.standing, kind)
             kept = replace(kept, standing=standing, stage=stage)
     newcomers, stage = insert_newcomers(view, kept.stage, kinds)
-    hidden = tuple(one for one in newcomers if one.speed_mps == 0.0)
-    if hidden:
-        kept = replace(kept, standing=StandingTraffic("cut-out", hidden, view.scene.time_s))
-    return tuple(one for one in newcomers if one not in hidden), replace(kept, stage=stage)
+    standing_ones = tuple(newcomer for newcomer in newcomers if newcomer.speed_mps == 0.0)
+    if standing_ones:
+        kept = replace(kept, standing=StandingTraffic("cut-out", standing_ones, view.scene.time_s))
+    moving_ones = tuple(newcomer for newcomer in newcomers if newcomer not in standing_ones)
+    return moving_ones, replace(kept, stage=stage)
 
 
-def _still_standing(view: SituationView, kept: Commitments) -> Commitments:
-    """Return what is remembered where those move off who need not stand any more, or for whom there was no room."""
+def _update_standing(view: SituationView, kept: Commitments) -> Commitments:
+    """Return the memory without standing vehicles that are no longer needed or could not be inserted."""
     before, now = kept.standing, view.scene.time_s
     if not before.members:
         return kept
     standing = before.updated(view)
-    lacking = (
-        len(set(before.names) - view.scene.history.index.keys()) if now - before.since_s <= PLAN_DT_S else 0
-    )
-    stage = replace(kept.stage, most=kept.stage.most + lacking)  # others may come in in their place
-    if lacking and not standing.members:
-        standing = replace(standing, next_try_s=now + _TRIES_AGAIN_S)
+    missing = set(before.names) - view.scene.history.index.keys()
+    not_inserted = len(missing) if now - before.since_s <= PLAN_DT_S else 0
+    stage = replace(kept.stage, most=kept.stage.most + not_inserted)  # others may be inserted instead
+    if not_inserted and not standing.members:
+        standing = replace(standing, next_try_s=now + _RETRY_S)
     agenda = kept.agenda if standing.members else kept.agenda.without(before.kind, now)
     return replace(kept, standing=standing, stage=stage, agenda=agenda)
 
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:
-    lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
+    goal_lane = "" if manoeuvre.goal is None else manoeuvre.goal.present_lane.id
     return Commitment(
         manoeuvre.kind,
         manoeuvre.profile,
@@ -112,6 +111,6 @@ def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...])
         now_s,
         manoeuvre.sets_up,
         manoeuvre.delay_s,
-        lane,
+        goal_lane,
         features,
     )

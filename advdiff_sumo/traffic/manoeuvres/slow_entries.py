@@ -1,6 +1,6 @@
-"""Who enters the target's lane at much less than its speed, and goes on: from a slower lane, or from where it stood.
+"""Vehicles that enter the target's lane at much less than its speed: from a slower lane, or from a standstill.
 
-Nobody brakes in it: what is asked of the target is to see how slow somebody is who has the lawful gap.
+They do not brake, and drive on. The target must perceive how slow a vehicle is that entered with the lawful gap.
 """
 
 from __future__ import annotations
@@ -29,43 +29,42 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfi
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 SLOWEST_SHARE, FASTEST_SHARE = 0.2, 0.75
-"""Shares of the target's speed between which somebody merges slowly."""
+"""Range of the speed of a slow merge, as shares of the target's speed."""
 AIMS_SHARE = 0.3
-"""The share at which somebody aims who slows for it."""
-_ENTERS_S = 1.0
-"""So long after the beginning of a lane change a car is over the line, about."""
+"""Share to which a vehicle slows before a slow merge."""
+_ENTERS_S = 1.0  # about the time from the beginning of a lane change until a car is over the line
 SLOWEST_MPS = 2.0
-"""Who merges is no slower."""
-_GAINS_MPS2, _SLOWS_MPS2 = 0.5, 1.5
+"""Lowest speed of a merging vehicle."""
+_MERGE_ACCEL_MPS2, _SLOWING_MPS2 = 0.5, 1.5
 SETS_OFF_MPS2: Mapping[bool, float] = {True: 1.2, False: 1.8}
-"""How fast a heavy vehicle, and another one, gains speed from a stop (SUMO's buses: 1.2 m/s², lorries: 1.3)."""
+"""Acceleration of a heavy vehicle, and of another one, from a standstill (SUMO's buses: 1.2 m/s², lorries: 1.3)."""
 PULLS_OUT_MPS = (2.5, 3.5, 5.0)
-"""To which somebody sets off who pulls out; it then gains speed more gently."""
-_GAINS_ON_MPS2 = 0.3
+"""Speeds to which a vehicle that pulls out sets off; it then accelerates more gently."""
+_LATER_ACCEL_MPS2 = 0.3
 
 
 def slow_merge(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """Somebody ahead on the next lane changes into the target's, slow as it is, or slows gently for it."""
+    """Yield slow changes into the target's lane by a vehicle ahead on the next lane, and slowing gently for them."""
     target, goal = view.target, _goal(view, row)
     speed = view.speed(row)
     if target is None or goal is None or speed < SLOWEST_MPS:
         return
     way = view.ways[row]
     if SLOWEST_SHARE <= speed / max(target.speed_mps, SLOWEST_MPS) <= FASTEST_SHARE:
-        lateral_s = abs(view.on_target_way[row][1]) / LATERAL_MPS
-        after = SpeedProfile(0.0, IN_LANE_SHARE * lateral_s, _GAINS_MPS2, 0.0, way.lane.speed_mps)
-        yield Manoeuvre(SLOW_MERGE, row, way, after, goal, body=slow_body(view, row))
-    aims = max(SLOWEST_MPS, AIMS_SHARE * target.speed_mps)
-    slows_s = max(speed - aims, 0.0) / _SLOWS_MPS2
-    loses_m = slows_s * (target.speed_mps - 0.5 * (speed + aims))
+        change_s = abs(view.on_target_way[row][1]) / LATERAL_MPS
+        merging = SpeedProfile(0.0, IN_LANE_SHARE * change_s, _MERGE_ACCEL_MPS2, 0.0, way.lane.speed_mps)
+        yield Manoeuvre(SLOW_MERGE, row, way, merging, goal, body=slow_body(view, row))
+    end_mps = max(SLOWEST_MPS, AIMS_SHARE * target.speed_mps)
+    slowing_s = max(speed - end_mps, 0.0) / _SLOWING_MPS2
+    lost_m = slowing_s * (target.speed_mps - 0.5 * (speed + end_mps))
     gap_m = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
-    if gap_m - loses_m >= entry_gap_m(target.speed_mps, aims, aims, _ENTERS_S):
-        slowing = SpeedProfile(-_SLOWS_MPS2, slows_s, 0.0, aims, way.lane.speed_mps)
+    if gap_m - lost_m >= entry_gap_m(target.speed_mps, end_mps, end_mps, _ENTERS_S):
+        slowing = SpeedProfile(-_SLOWING_MPS2, slowing_s, 0.0, end_mps, way.lane.speed_mps)
         yield Manoeuvre(SLOW_MERGE, row, way, slowing, sets_up=True)
 
 
 def pull_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """Somebody who stands on the lane beside, towards the kerb, sets off into the target's."""
+    """Yield departures into the target's lane of a vehicle that stands on the lane beside, towards the kerb."""
     goal = _goal(view, row)
     if (
         goal is None
@@ -74,9 +73,9 @@ def pull_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     ):
         return
     way = view.ways[row]
-    gains = SETS_OFF_MPS2[view.scene.history.classes[row] in HEAVY_CLASSES]
-    for drives in PULLS_OUT_MPS:
-        setting_off = SpeedProfile(gains, drives / gains, _GAINS_ON_MPS2, 0.0, way.lane.speed_mps)
+    accel = SETS_OFF_MPS2[view.scene.history.classes[row] in HEAVY_CLASSES]
+    for speed_mps in PULLS_OUT_MPS:
+        setting_off = SpeedProfile(accel, speed_mps / accel, _LATER_ACCEL_MPS2, 0.0, way.lane.speed_mps)
         yield Manoeuvre(PULL_OUT, row, way, setting_off, goal, body=slow_body(view, row))
 
 
@@ -85,58 +84,57 @@ PROPOSALS: Mapping[str, Callable[[SituationView, int], Iterator[Manoeuvre]]] = {
     SLOW_MERGE: slow_merge,
     PULL_OUT: pull_out,
 }
-"""Every kind of manoeuvre by name, also those that warm-ups know nothing of."""
+"""Every kind of manoeuvre by name, also those for which warm-ups predict nothing."""
 
 
 def entry_gap_m(target_mps: float, mean_mps: float, speed_mps: float, enters_s: float) -> float:
-    """Return the bumper gap to the target with which somebody may just begin to enter its lane.
+    """Return the least bumper gap to the target with which a vehicle may begin to enter its lane.
 
     Args:
         target_mps: speed of the target.
         mean_mps: mean speed of the other until it enters.
-        speed_mps: its speed by then.
-        enters_s: when.
+        speed_mps: its speed as it enters.
+        enters_s: time until it enters.
     """
     lawful_m = LAWFUL.gap_share * safe_gap_m(target_mps + 0.5, speed_mps) + LAWFUL.spare_m
     return lawful_m + enters_s * (target_mps - mean_mps)
 
 
 def slow_body(view: SituationView, row: int) -> SlowBody:
-    """Return *row* as somebody who changes lanes slowly."""
+    """Return the box of *row* for a slow lane change."""
     length, width = view.size(row).tolist()
     return SlowBody(view.speed(row), length, width, 0.5 * float(view.size(view.scene.target)[1]))
 
 
 def kerb_side(view: SituationView) -> str:
-    """Return the side of the target at which somebody stands as at a kerb."""
+    """Return the side of the target on which the kerb is."""
     return "left" if view.road.lefthand else "right"
 
 
 def can_begin_later(
     view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float, licence: Licence | None
 ) -> bool:
-    """Return whether *manoeuvre*, which demands *needed_mps2* of the target, can begin lawfully at the next plan, too.
+    """Return whether *manoeuvre*, which requires *needed_mps2* of the target, can also begin at the next plan.
 
-    By then the gap is less: who enters slowly does so with the gap that the licence just allows.
+    By then the gap is smaller: a slow entry begins with the smallest gap that the licence allows.
     """
     if manoeuvre.kind not in SLOW_ENTRIES or manoeuvre.sets_up or needed_mps2 == 0.0:
         return False
     row, target = manoeuvre.row, view.scene.target
-    loses_m = PLAN_DT_S * (view.speed(target) - view.speed(row))
-    now = view.scene.history.xy_m[row, -1]
-    closing_mps = (
-        view.speed(target) - manoeuvre.mean_and_end_speed(manoeuvre.perceivable_s(now), view.speed(row))[1]
-    )
-    left_m = 0.5 * closing_mps**2 / needed_mps2 - loses_m  # of what braking takes
-    if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * left_m:
+    lost_m = PLAN_DT_S * (view.speed(target) - view.speed(row))
+    xy_m = view.scene.history.xy_m[row, -1]
+    end_mps = manoeuvre.mean_and_end_speed(manoeuvre.perceivable_s(xy_m), view.speed(row))[1]
+    closing_mps = view.speed(target) - end_mps
+    braking_m = 0.5 * closing_mps**2 / needed_mps2 - lost_m  # left for braking
+    if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * braking_m:
         return False
-    enters_s = manoeuvre.enters_s(now)
-    drives = manoeuvre.mean_and_end_speed(enters_s, view.speed(row))
-    return entry_margin_m(view, row, target, enters_s, licence or LAWFUL, drives) >= loses_m
+    enters_s = manoeuvre.enters_s(xy_m)
+    speeds_mps = manoeuvre.mean_and_end_speed(enters_s, view.speed(row))
+    return entry_margin_m(view, row, target, enters_s, licence or LAWFUL, speeds_mps) >= lost_m
 
 
 def _goal(view: SituationView, row: int) -> Way | None:
-    """Return the way on the target's lane that *row*, ahead on the lane beside, would change to; None without one."""
+    """Return the way on the target's lane for *row*, which is ahead on the lane beside; None if there is none."""
     ahead, left = view.on_target_way.get(row, (0.0, 0.0))
     if view.target is None or not (0.0 < ahead < NEAR_M and IN_LANE_M < abs(left) < BESIDE_M):
         return None

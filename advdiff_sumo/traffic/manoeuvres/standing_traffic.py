@@ -1,6 +1,7 @@
-"""Vehicles that stand ahead of the target: a queue on every lane, which may crawl, whom a leader hides, who is beside.
+"""Vehicles that stand or crawl ahead of the target: a queue, one that a leader hides, or one beside the target's lane.
 
-They come in beyond the target's sight, and stay in the plan out of sight: where they are follows from where they began.
+They are inserted beyond the target's sight and stay in the plan while out of sight: their positions follow from where
+they began.
 """
 
 from __future__ import annotations
@@ -25,28 +26,35 @@ from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead
 
 QUEUE = "queue"
-"""The kind of attack of who is the end of a queue."""
-_FASTEST_CLOSING_MPS, _STOPS_MPS2 = 22.0, 4.0
-"""How fast the target comes up to them at most: a careful driver who sees them at 80 m then brakes with 4 m/s²."""
-_LEAST_SPEED_MPS = 10.0
-_OUT_OF_SIGHT_M, _LENGTHS_M = 90.0, 8.0
-_LASTS_S, _PAUSE_S = 20.0, 20.0
-_LAST_S: Mapping[str, float] = {QUEUE: _LASTS_S, "cut-out": 60.0, SLOW_MERGE: 20.0, PULL_OUT: 20.0}
-_STAGGER_M = 3.0
-_CLOSED_UP_MPS = 0.5
-_FREE_M, _FREE_S, _IN_LANE_M = 8.0, 1.0, 2.0
+"""The kind of attack by the end of a queue."""
+_MAX_CLOSING_MPS, _TARGET_BRAKING_MPS2 = 22.0, 4.0
+"""Highest closing speed: a careful driver who perceives the queue at 80 m then brakes with 4 m/s²."""
+_MIN_TARGET_MPS = 10.0
+_OUT_OF_SIGHT_M, _LENGTHS_M = (
+    90.0,
+    8.0,
+)  # least distance of a queue; half the lengths of both vehicles, and some more
+_QUEUE_LASTS_S, _PAUSE_S = 20.0, 20.0
+_LASTS_S: Mapping[str, float] = {QUEUE: _QUEUE_LASTS_S, "cut-out": 60.0, SLOW_MERGE: 20.0, PULL_OUT: 20.0}
+_STAGGER_M = 3.0  # offset along the road from one lane's vehicle to the next one's
+_CLOSED_UP_MPS = 0.5  # a target that is no more than this faster than the queue has closed up
+_FREE_M, _FREE_S, _IN_LANE_M = (
+    8.0,
+    1.0,
+    2.0,
+)  # room that a crawling vehicle needs ahead: constant, per m/s; lateral
 
 
 @dataclass(frozen=True)
 class StandingTraffic:
-    """Who stands, or crawls, ahead of the target.
+    """Vehicles that stand, or crawl, ahead of the target.
 
     Attributes:
-        kind: what they are for: ``QUEUE``, "cut-out" for somebody whom a leader hides, or one of ``SLOW_ENTRIES`` for
-            somebody beside the target's lane.
-        members: each on its way as it came in, on which it goes on at its speed.
-        since_s: when they came in.
-        again_s: when the next queue may come.
+        kind: the manoeuvre they are for: ``QUEUE``, "cut-out" (a leader hides one), or one of ``SLOW_ENTRIES`` (one is
+            beside the target's lane).
+        members: each with its way as it was inserted, which it follows at constant speed.
+        since_s: when they were inserted.
+        next_try_s: when the next queue may come.
     """
 
     kind: str = QUEUE
@@ -57,113 +65,115 @@ class StandingTraffic:
     @property
     def names(self) -> tuple[str, ...]:
         """The members' ids."""
-        return tuple(one.name for one in self.members)
+        return tuple(member.name for member in self.members)
 
     @property
     def is_queue(self) -> bool:
-        """Whether there is the end of a queue, beside which nobody else attacks."""
+        """Whether there is the end of a queue, beside which no other vehicle attacks."""
         return self.kind == QUEUE and bool(self.members)
 
     def is_passive(self, name: str) -> bool:
-        """Return whether *name* is a member that only stands or goes on, and begins nothing of its own."""
+        """Return whether *name* is a member that only stands or crawls, and begins no manoeuvre."""
         return name in self.names and self.kind not in SLOW_ENTRIES
 
     def without(self, names: Container[str]) -> StandingTraffic:
-        """Return it without those *names* who have begun what they came in for."""
-        return replace(self, members=tuple(one for one in self.members if one.name not in names))
+        """Return it without those *names* that have begun the manoeuvre for which they were inserted."""
+        return replace(self, members=tuple(member for member in self.members if member.name not in names))
 
     def updated(self, view: SituationView) -> StandingTraffic:
-        """Return what is left of it: it moves off once the target is past it or, at a queue, has closed up.
+        """Return what is left of it: none once the target is past it or, at a queue, has closed up.
 
-        Without its first member, on the target's lane, for whom there was no room, it is none.
+        None is left either if its first member, on the target's lane, could not be inserted.
         """
-        there = tuple(one for one in self.members if one.name in view.scene.history.index)
-        lasts_s = view.scene.time_s - self.since_s
-        begun = bool(there) and there[0] is self.members[0]
-        if not begun or lasts_s >= _LAST_S[self.kind] or _is_over(view, there, self.kind):
+        present = tuple(member for member in self.members if member.name in view.scene.history.index)
+        age_s = view.scene.time_s - self.since_s
+        has_first = bool(present) and present[0] is self.members[0]
+        if not has_first or age_s >= _LASTS_S[self.kind] or _is_over(view, present, self.kind):
             return replace(self, members=())
-        return replace(self, members=there)
+        return replace(self, members=present)
 
-    def poses(self, one: Newcomer, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def poses(self, member: Newcomer, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return centres (T, 2) and headings (T,) of a member at *time_s* (T,) of the episode."""
         since = time_s - self.since_s
-        return one.way.poses(one.speed_mps * since, since)
+        return member.way.poses(member.speed_mps * since, since)
 
     def motions(self, time_s: float) -> Iterator[tuple[str, tuple[FloatArray, FloatArray, FloatArray]]]:
         """Yield id, and centres (T, 2), headings (T,) and speeds (T,) of each member for a plan at *time_s*."""
         times = time_s + PLAN_DT_S * np.arange(1.0, PLAN_STEPS + 1.0)
-        for one in self.members:
-            yield one.name, (*self.poses(one, times), np.full(PLAN_STEPS, one.speed_mps))
+        for member in self.members:
+            yield member.name, (*self.poses(member, times), np.full(PLAN_STEPS, member.speed_mps))
 
 
 def insert_queue(
     view: SituationView, stage: StagingMemory, standing: StandingTraffic
 ) -> tuple[StandingTraffic, StagingMemory]:
-    """Return the end of a queue that comes in now, if there is room for one, and what staging remembers."""
+    """Return the end of a queue that is inserted now, if there is room for one, and the updated memory."""
     now = view.scene.time_s
     room = stage.most - stage.count
     if standing.members or now < standing.next_try_s or room < 1:
         return standing, stage
     members = tuple(
         replace(
-            one,
+            place,
             agent_class=stage.classes[(stage.count + k) % len(stage.classes)],
             name=f"staged-{stage.count + k}",
         )
-        for k, one in enumerate(_places(view)[:room])
+        for k, place in enumerate(_queue_places(view)[:room])
     )
     if not members:
         return standing, stage
-    queue = StandingTraffic(QUEUE, members, now, now + _LASTS_S + _PAUSE_S)
+    queue = StandingTraffic(QUEUE, members, now, now + _QUEUE_LASTS_S + _PAUSE_S)
     return queue, replace(stage, count=stage.count + len(members))
 
 
 def can_insert_queue(view: SituationView) -> bool:
-    """Return whether there is room for the end of a queue, as far as is seen."""
-    return bool(_places(view))
+    """Return whether there seems to be room for the end of a queue."""
+    return bool(_queue_places(view))
 
 
 def with_standing(plan: JointPlan, standing: StandingTraffic, time_s: float) -> JointPlan:
-    """Return *plan*, made at *time_s*, with those members of *standing* whom it does not move already."""
+    """Return *plan*, made at *time_s*, with those members of *standing* that it does not move already."""
     tracks = plan.tracks
-    members = [one for one in standing.members if one.name not in tracks.index]
+    members = [member for member in standing.members if member.name not in tracks.index]
     steps = tracks.steps if tracks.agents else PLAN_STEPS
     times = time_s + PLAN_DT_S * np.arange(1.0, steps + 1.0)
-    return with_newcomers(plan, members, [standing.poses(one, times) for one in members])
+    return with_newcomers(plan, members, [standing.poses(member, times) for member in members])
 
 
-def _places(view: SituationView) -> list[Newcomer]:
-    """Return who stands, or crawls, on each lane ahead, on the target's first; nobody where there is no room."""
+def _queue_places(view: SituationView) -> list[Newcomer]:
+    """Return a standing or crawling vehicle for each lane ahead, the target's first; none if there is no room."""
     target = view.target
-    if target is None or target.speed_mps < _LEAST_SPEED_MPS or not view.is_clear_to(NEAR_M):
+    if target is None or target.speed_mps < _MIN_TARGET_MPS or not view.is_clear_to(NEAR_M):
         return []
-    crawls = max(target.speed_mps - _FASTEST_CLOSING_MPS, 0.0)
-    ahead, drives = _ahead_m(target.speed_mps - crawls), crawls * _LASTS_S
-    way = view.extended_way(target.way, ahead + drives)
-    waits = any(
-        reach < ahead + ROAD_BEYOND_M and (link.yields or link.tls_id is not None)
-        for reach, link in way.links
+    crawl_mps = max(target.speed_mps - _MAX_CLOSING_MPS, 0.0)
+    ahead_m, crawled_m = _queue_distance_m(target.speed_mps - crawl_mps), crawl_mps * _QUEUE_LASTS_S
+    way = view.extended_way(target.way, ahead_m + crawled_m)
+    must_wait = any(
+        line_m < ahead_m + ROAD_BEYOND_M and (link.yields or link.tls_id is not None)
+        for line_m, link in way.links
     )
-    there, s = lane_at(way, way.lane.s_m + ahead)
-    if waits or way.lane.end_m < ahead + drives or there.is_internal:
+    target_lane, s = lane_at(way, way.lane.s_m + ahead_m)
+    if must_wait or way.lane.end_m < ahead_m + crawled_m or target_lane.is_internal:
         return []
-    edges = tuple(one.edge_id for one in way.lane.lanes if not one.is_internal)
-    out = []
-    for k, lane in enumerate(_abreast(view, there)):
-        on = lane_ahead(view.road.lanes, lane, min(s + k * _STAGGER_M, lane.length_m), 0.0, edges, drives)
-        if k == 0 or on.end_m > drives:
-            out.append(Newcomer(Way(on), min(crawls, lane.speed_mps)))
-    return out
+    edges = tuple(lane.edge_id for lane in way.lane.lanes if not lane.is_internal)
+    places = []
+    for k, lane in enumerate(_lanes_abreast(view, target_lane)):
+        start_s = min(s + k * _STAGGER_M, lane.length_m)
+        ahead = lane_ahead(view.road.lanes, lane, start_s, 0.0, edges, crawled_m)
+        if k == 0 or ahead.end_m > crawled_m:
+            places.append(Newcomer(Way(ahead), min(crawl_mps, lane.speed_mps)))
+    return places
 
 
-def _ahead_m(closing_mps: float) -> float:
-    """Return how far ahead a queue ends: for 3 s it asks nothing, and a careful driver then brakes with 4 m/s²."""
-    ahead = closing_mps * (ORDINARY_DRIVING_S + REACTION_S) + 0.5 * closing_mps**2 / _STOPS_MPS2 + _LENGTHS_M
-    return max(ahead, _OUT_OF_SIGHT_M)
+def _queue_distance_m(closing_mps: float) -> float:
+    """Return how far ahead a queue ends, so that a careful driver brakes with 4 m/s² after 3 s without a demand."""
+    braking_m = 0.5 * closing_mps**2 / _TARGET_BRAKING_MPS2
+    distance_m = closing_mps * (ORDINARY_DRIVING_S + REACTION_S) + braking_m + _LENGTHS_M
+    return max(distance_m, _OUT_OF_SIGHT_M)
 
 
 def lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
-    """Return the lane of *way* that is *s_m* from where its first lane begins, and the place on it."""
+    """Return the lane of *way* that is *s_m* from the beginning of its first lane, and the place on that lane."""
     for lane in way.lane.lanes:
         if s_m <= lane.length_m:
             return lane, s_m
@@ -172,34 +182,35 @@ def lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
     return last, last.length_m
 
 
-def _abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
-    """Yield *lane* and those beside it that are driven the same way."""
+def _lanes_abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
+    """Yield *lane* and the lanes beside it in the same direction."""
     yield lane
     lanes = view.road.lanes
     for to_left in (True, False):
-        beside = lane.left_id if to_left else lane.right_id
-        while beside is not None and lanes[beside].is_drivable:
-            yield lanes[beside]
-            beside = lanes[beside].left_id if to_left else lanes[beside].right_id
+        name = lane.left_id if to_left else lane.right_id
+        while name is not None and lanes[name].is_drivable:
+            yield lanes[name]
+            name = lanes[name].left_id if to_left else lanes[name].right_id
 
 
 def _is_over(view: SituationView, members: tuple[Newcomer, ...], kind: str) -> bool:
-    """Return whether the target is past *members* or has closed up to a queue, or one that moves has a leader."""
-    now, target = view.scene.history, view.scene.target
-    rows = [now.index[one.name] for one in members]
-    offset = now.xy_m[rows, -1] - now.xy_m[target, -1]
-    ahead = offset @ unit(now.yaw_rad[target, -1])
+    """Return whether the target is past *members*, has closed up to a queue, or a crawling one has a leader."""
+    history, target = view.scene.history, view.scene.target
+    rows = [history.index[member.name] for member in members]
+    offset = history.xy_m[rows, -1] - history.xy_m[target, -1]
+    ahead = offset @ unit(history.yaw_rad[target, -1])
     closed_up = kind == QUEUE and view.speed(target) <= members[0].speed_mps + _CLOSED_UP_MPS
     if (ahead < 0.0).all() or closed_up:
         return True
-    return any(_has_leader(now, row, rows) for row, one in zip(rows, members, strict=True) if one.speed_mps)
+    crawling = (row for row, member in zip(rows, members, strict=True) if member.speed_mps)
+    return any(_has_leader(history, row, rows) for row in crawling)
 
 
-def _has_leader(now: Tracks, row: int, members: list[int]) -> bool:
-    """Return whether somebody else is so close ahead of *row* that it could not go on at its speed."""
-    others = np.setdiff1d(np.flatnonzero(now.valid[:, -1]), members)
-    facing = unit(now.yaw_rad[row, -1])
-    offset = now.xy_m[others, -1] - now.xy_m[row, -1]
-    ahead, left = offset @ facing, offset @ np.array([-facing[1], facing[0]])
-    reach = _FREE_M + _FREE_S * float(now.speed_mps[row, -1])
+def _has_leader(history: Tracks, row: int, members: list[int]) -> bool:
+    """Return whether a vehicle that is no member is so close ahead of *row* that it cannot keep its speed."""
+    others = np.setdiff1d(np.flatnonzero(history.valid[:, -1]), members)
+    heading = unit(history.yaw_rad[row, -1])
+    offset = history.xy_m[others, -1] - history.xy_m[row, -1]
+    ahead, left = offset @ heading, offset @ np.array([-heading[1], heading[0]])
+    reach = _FREE_M + _FREE_S * float(history.speed_mps[row, -1])
     return bool(((ahead > 0.0) & (ahead < reach) & (np.abs(left) < _IN_LANE_M)).any())

@@ -1,1 +1,1 @@
-"""The background ``scripted``: lawful manoeuvres against the target, SUMO's traffic all around."""
+"""The background ``scripted``: lawful manoeuvres against the target in SUMO's traffic."""

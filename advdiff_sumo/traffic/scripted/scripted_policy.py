@@ -40,18 +40,17 @@ class ScriptedOptions(Options):
     """Options of ``scripted``.
 
     Attributes:
-        attack: the kind of manoeuvre; "any": whichever asks most of the target.
-        licence: what they may do: "lawful", "careless" or "reckless".
-        attackers: most vehicles that are in a manoeuvre at a time.
+        attack: the kind of manoeuvre; "any": the one with the highest merit.
+        licence: what attackers may do: "lawful", "careless" or "reckless".
+        attackers: most vehicles in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
-        braking_mps2: how hard who attacks brakes, where and when it would do so anyway; None: as serves best.
-        spare_gap_m: bumper gap beyond the lawful one at which somebody cuts in, and then stops at 6.5 m/s²; None: the
-            gap and braking that serve best.
-        early_s: how long before the target somebody with priority is where their ways meet; None: what serves best.
-        reveals_s: how long before it would reach somebody who stands a leader begins to leave the lane; None: what
-            serves best.
-        staged: most vehicles that come in during an episode where an encounter lacks them; 0: nobody.
-        reward: what ``advdiff-sumo warmup`` has learned of the target, whose failures it goes for; empty: nothing.
+        braking_mps2: deceleration of an attacker that brakes, where and when it would brake anyway; None: that with the
+            highest merit, as for the three options that follow.
+        spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops at 6.5 m/s².
+        early_s: how long before the target a vehicle with priority is where their ways meet.
+        reveals_s: how long before it would reach a standing vehicle a leader begins to leave the lane.
+        staged: most vehicles that are inserted during an episode if an encounter lacks them; 0: none.
+        reward: file of ``advdiff-sumo warmup``, to prefer encounters in which the target fails; empty: none.
     """
 
     attack: Kind = "any"
@@ -83,7 +82,7 @@ class ScriptedTraffic:
         self.preference = EncounterPreference.read(Path(reward)) if reward else None
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
-        """Return which kinds this episode prefers, so that episodes differ."""
+        """Return the commitments of a new episode, with random weights of the kinds, so that episodes differ."""
         options = self.options
         intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s, options.reveals_s)
         return Commitments.start(options.attack, rng, options.staged, intensity, self.preference)
@@ -95,7 +94,7 @@ class ScriptedTraffic:
         memory: Commitments,
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[JointPlan, Commitments]:
-        """Return the plans of the vehicles in a manoeuvre, 6 s at 2 Hz; SUMO drives everybody else."""
+        """Return the plans of the vehicles in a manoeuvre, 6 s at 2 Hz; SUMO drives all others."""
         view = SituationView.of(road, scene)
         options = self.options
         licence = licence_of(options.licence)
@@ -108,9 +107,9 @@ class ScriptedTraffic:
 
 def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -> Tracks:
     """Return the plans of *manoeuvres* at the model step."""
-    begin = view.scene.time_s + PLAN_DT_S
+    begin_s = view.scene.time_s + PLAN_DT_S
     if not manoeuvres:
-        return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin)
+        return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin_s)
     rows = [m.row for m in manoeuvres]
     plans = KinematicStates(*planned_motions(view, manoeuvres))
-    return view.scene.history.rows(rows).driving(plans, begin, PLAN_DT_S)
+    return view.scene.history.rows(rows).driving(plans, begin_s, PLAN_DT_S)

@@ -62,8 +62,8 @@ def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> Non
     view = view_of(motorway, target=(0, 50.0, 9.0))
     begun = Agenda(("cut-out", *ORDER)).updated(view)
     assert begun.now == "cut-out"
-    assert begun.at(later(view, TURN_S - 0.5)).now == "cut-out"
-    after = begun.at(later(view, TURN_S))
+    assert begun.updated(later(view, TURN_S - 0.5)).now == "cut-out"
+    after = begun.updated(later(view, TURN_S))
     assert "cut-out" not in after.order
     assert after.now == "cut-in"
     fast = view_of(motorway, target=(0, 50.0, 20.0))
@@ -75,7 +75,7 @@ def test_a_queue_has_its_turn_where_no_cut_out_is_possible(motorway: RoadMap) ->
     fast = view_of(motorway, target=(0, 50.0, 20.0))
     begun = Agenda(("cut-out", "queue", *ORDER)).updated(fast)
     assert begun.now == "queue"
-    assert begun.at(later(fast, TURN_S)).order[0] == "cut-in"
+    assert begun.updated(later(fast, TURN_S)).order[0] == "cut-in"
     slow = view_of(motorway, target=(0, 50.0, 9.0))
     assert Agenda(("cut-out", "queue", *ORDER)).updated(slow).now == "cut-out"
     behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))

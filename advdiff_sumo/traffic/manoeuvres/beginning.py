@@ -31,24 +31,25 @@ _FULLY_CHECKED = 4  # number of manoeuvres that are checked in full, best first
 
 
 def begin(
-    view: SituationView, kept: Commitments, going: Sequence[Manoeuvre], room: int, licence: Licence | None
+    view: SituationView, memory: Commitments, going: Sequence[Manoeuvre], room: int, licence: Licence | None
 ) -> list[Chosen]:
     """Return the best new manoeuvres beside those *going* on: one for a vehicle, one crossing, at most *room*."""
     names, now = view.scene.history.ids, view.scene.time_s
     busy = {m.row for m in going}
-    busy |= {r for r in view.movable if kept.standing.is_passive(names[r])}
-    free = [r for r in view.movable if r not in busy and kept.rested_s.get(names[r], -1.0) <= now]
-    kinds = kept.startable_kinds(view)
+    busy |= {r for r in view.movable if memory.standing.is_passive(names[r])}
+    free = [r for r in view.movable if r not in busy and memory.rested_s.get(names[r], -1.0) <= now]
+    kinds = memory.startable_kinds(view)
     possible = [m for row in free for kind in kinds for m in _PROPOSALS[kind](view, row)]
-    possible = list(filter_oncoming(view, possible, kept.stage.only_oncoming))
-    possible = [m for m in possible if not (m.sets_up and names[m.row] in kept.standing.names)]
-    adapted = with_severity(view, possible, kept.intensity)
-    proposals = [m for m in adapted if is_seen_long_enough(view, m, kept.since_s)]
+    possible = list(filter_oncoming(view, possible, memory.stage.only_oncoming))
+    possible = [m for m in possible if not (m.sets_up and names[m.row] in memory.standing.names)]
+    adapted = with_severity(view, possible, memory.intensity)
+    proposals = [m for m in adapted if is_seen_long_enough(view, m, memory.since_s)]
     begun: list[Chosen] = []
-    ranked = rank(view, proposals, kept.weights, licence, kept.intensity, preference=kept.preference)
-    leader_merits = _MIN_LEADER_MERITS if kept.agenda.order and not has_red_ahead(view) else _MIN_MERITS
+    ranked = rank(view, proposals, memory.weights, licence, memory.intensity, preference=memory.preference)
+    leader_merits = _MIN_LEADER_MERITS if memory.agenda.order and not has_red_ahead(view) else _MIN_MERITS
     least = {
-        kind: _min_merit(leader_merits if kind in LEADER_KINDS else _MIN_MERITS, now) for kind in kept.weights
+        kind: _min_merit(leader_merits if kind in LEADER_KINDS else _MIN_MERITS, now)
+        for kind in memory.weights
     }
     good = [c for c in ranked if c.manoeuvre.sets_up or c.merit >= least[c.manoeuvre.kind]]
     ready = [c for c in good if not can_begin_later(view, c.manoeuvre, c.needed_mps2, licence)]
@@ -56,7 +57,7 @@ def begin(
         others = (*going, *(c.manoeuvre for c in begun))
         fits = len(begun) < room and all(_go_together(chosen.manoeuvre, other) for other in others)
         if fits and _follower_can_stop(view, chosen) and _has_no_breach(view, chosen, licence):
-            braked = with_braking(chosen.manoeuvre, kept.intensity.braking_mps2)
+            braked = with_braking(chosen.manoeuvre, memory.intensity.braking_mps2)
             begun.append(replace(chosen, manoeuvre=braked))
     return begun
 

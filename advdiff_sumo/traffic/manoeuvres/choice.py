@@ -101,10 +101,10 @@ def rank(
         features, factors = preference.rate(view, proposals, needed)
         score = score * factors
     useful = np.flatnonzero(score > 0.0)
-    kept = useful[
+    lawful_rows = useful[
         lawful_mask(view, [proposals[k] for k in useful.tolist()], _rows(futures, useful), licence, begun)
     ]
-    order = kept[np.argsort(-score[kept], kind="stable")].tolist()
+    order = lawful_rows[np.argsort(-score[lawful_rows], kind="stable")].tolist()
     return [
         Chosen(
             proposals[k],

@@ -50,15 +50,15 @@ _OFF_CENTRE_M = 0.2  # offset above which a slow entry still moves to the middle
 
 
 def continue_manoeuvres(
-    view: SituationView, kept: Commitments, pause_s: float, licence: Licence | None
+    view: SituationView, memory: Commitments, pause_s: float, licence: Licence | None
 ) -> tuple[list[Manoeuvre], Commitments]:
     """Return the manoeuvres under way that go on within the licence, and the memory without the others."""
     index, now = view.scene.history.index, view.scene.time_s
     going: list[Manoeuvre] = []
-    active, rested = dict(kept.active), dict(kept.rested_s)
-    for name, under_way in kept.active.items():
+    active, rested = dict(memory.active), dict(memory.rested_s)
+    for name, under_way in memory.active.items():
         row = index.get(name)
-        manoeuvre = _remaining(view, row, under_way, kept, licence) if row in view.movable else None
+        manoeuvre = _remaining(view, row, under_way, memory, licence) if row in view.movable else None
         if manoeuvre is not None and still_lawful(view, manoeuvre, licence):
             going.append(manoeuvre)
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
@@ -68,18 +68,18 @@ def continue_manoeuvres(
     if all(m.kind in SUPPORT_KINDS for m in going):  # without an attack, SUMO drives the follower
         going = [m for m in going if m.kind != FOLLOWS]
         active = {name: under_way for name, under_way in active.items() if under_way.kind != FOLLOWS}
-    return going, replace(kept, active=active, rested_s=rested)
+    return going, replace(memory, active=active, rested_s=rested)
 
 
 def _remaining(
     view: SituationView,
     row: int | None,
     under_way: Commitment,
-    kept: Commitments,
+    memory: Commitments,
     licence: Licence | None,
 ) -> Manoeuvre | None:
     """Return what remains of a manoeuvre; None if it has ended."""
-    intensity = kept.intensity
+    intensity = memory.intensity
     passed_s = view.scene.time_s - under_way.since_s
     max_duration_s = _MAX_DURATION_S.get(under_way.kind, _DEFAULT_MAX_DURATION_S)
     if row is None or under_way.sets_up or passed_s >= max_duration_s:
@@ -92,7 +92,7 @@ def _remaining(
         if _target_leads(view, row):
             return None  # the target now drives ahead of it, as its leader
         crossings = continued_crossings(view, row)
-        timed = list(filter_oncoming(view, crossings, kept.stage.only_oncoming))
+        timed = list(filter_oncoming(view, crossings, memory.stage.only_oncoming))
         ranked = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         keeps_profile = intensity.is_prescribed_for("crossing") and target_brakes(view)
         if ranked and not keeps_profile and not (ranked[0].needed_mps2 == 0.0 and _target_stands(view)):

@@ -72,8 +72,8 @@ def licensed_attack(
     futures: Futures,
     attackers: tuple[str, ...],
     name: LicenceName,
-    kept: Commitments | None,
-    most: int,
+    memory: Commitments | None,
+    max_manoeuvres: int,
 ) -> LicensedAttack:
     """Return which parts of a joint plan may be driven, and the manoeuvres that are driven beside it.
 
@@ -83,8 +83,8 @@ def licensed_attack(
         futures: planned for the view's rows.
         attackers: ids of the guided vehicles.
         name: name of the licence.
-        kept: manoeuvres under way; None: none are added.
-        most: most manoeuvres at a time, beside the guided vehicles.
+        memory: manoeuvres under way; None: none are added.
+        max_manoeuvres: most manoeuvres at a time, beside the guided vehicles.
     """
     licence = licence_of(name)
     if licence is None:
@@ -92,25 +92,27 @@ def licensed_attack(
     situation = situation_of(road, view)
     driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
     newcomers: tuple[Newcomer, ...] = ()
-    if kept is not None:
-        manoeuvres, kept = advance(situation, kept, most, PAUSE_S, licence)
+    if memory is not None:
+        manoeuvres, memory = advance(situation, memory, max_manoeuvres, PAUSE_S, licence)
         view_row_of = {row: k for k, row in enumerate(view.rows.tolist())}
         xy, yaw, planned_speed = planned_motions(situation, manoeuvres)
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.kind != WAITS:  # the safeguard keeps vehicles clear of boxes by itself
                 driven[view_row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
-        newcomers, kept = let_in(situation, kept)
+        newcomers, memory = let_in(situation, memory)
         movable_rows = {name: k for k, name in enumerate(view.ids) if view.moved[k]}
         driven |= {
             movable_rows[name]: motion
-            for name, motion in kept.standing.motions(view.scene.time_s)
+            for name, motion in memory.standing.motions(view.scene.time_s)
             if name in movable_rows
         }
     guided = [row for row in map(view.ids.index, attackers) if row not in driven]
-    refused = _refused(situation, view, futures, guided, licence) | _setting_off(view, kept, driven)
+    refused = _refused(situation, view, futures, guided, licence) | _setting_off(view, memory, driven)
     lines_m = waiting_lines_m(situation, view.rows.tolist(), futures).tolist()
     waits_m = {k: line for k, line in enumerate(lines_m) if np.isfinite(line)}
-    return LicensedAttack(False, tuple(sorted(refused)), driven, kept, licence.over_limit, newcomers, waits_m)
+    return LicensedAttack(
+        False, tuple(sorted(refused)), driven, memory, licence.over_limit, newcomers, waits_m
+    )
 
 
 def situation_of(road: RoadMap, view: View) -> SituationView:
@@ -120,12 +122,12 @@ def situation_of(road: RoadMap, view: View) -> SituationView:
     return SituationView.of(road, replace(view.scene, movable=movable))
 
 
-def _setting_off(view: View, kept: Commitments | None, driven: Mapping[int, object]) -> set[int]:
+def _setting_off(view: View, memory: Commitments | None, driven: Mapping[int, object]) -> set[int]:
     """Return which rows are slow after a manoeuvre; the model, which saw them brake, would let them stand."""
-    if kept is None:
+    if memory is None:
         return set()
     now, is_slow = view.scene.time_s, view.scene.history.speed_mps[view.rows, -1] < SETS_OFF_MPS
-    is_resting = [kept.rested_s.get(name, now) > now for name in view.ids]
+    is_resting = [memory.rested_s.get(name, now) > now for name in view.ids]
     return set(np.flatnonzero(view.moved & is_slow & is_resting).tolist()) - driven.keys()
 
 

@@ -25,81 +25,81 @@ _RETRY_S = 1.0
 
 
 def advance(
-    view: SituationView, kept: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
+    view: SituationView, memory: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
 ) -> tuple[list[Manoeuvre], Commitments]:
     """Return the manoeuvres that are driven now, and the updated memory.
 
     Args:
         view: the scene.
-        kept: memory of the plan before.
+        memory: memory of the plan before.
         attackers: most vehicles in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
         licence: what they may do; None: anything.
     """
-    kept = replace(kept, agenda=kept.agenda.updated(view), since_s=in_view_since(view, kept.since_s))
-    going, kept = continue_manoeuvres(view, kept, pause_s, licence)
+    memory = replace(memory, agenda=memory.agenda.updated(view), since_s=in_view_since(view, memory.since_s))
+    going, memory = continue_manoeuvres(view, memory, pause_s, licence)
     if licence is not None:
-        kept = replace(kept, blocked_s=blocked_since(view, kept.blocked_s))
+        memory = replace(memory, blocked_s=blocked_since(view, memory.blocked_s))
         busy = {m.row for m in going}
-        going += [m for m in waiting_manoeuvres(view, kept.blocked_s) if m.row not in busy]
+        going += [m for m in waiting_manoeuvres(view, memory.blocked_s) if m.row not in busy]
     room = attackers - sum(m.kind not in SUPPORT_KINDS for m in going)
-    chosen = begin(view, kept, going, room, licence) if room > 0 else []
+    chosen = begin(view, memory, going, room, licence) if room > 0 else []
     features = {choice.manoeuvre.row: choice.features for choice in chosen}
     fresh = [choice.manoeuvre for choice in chosen]
     fresh += follower_braking(view, [*going, *fresh], fresh, licence)
     driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
     company = (
         company_manoeuvres(view, {m.row for m in driven}, licence)
-        if DOUBLE in kept.startable_kinds(view)
+        if DOUBLE in memory.startable_kinds(view)
         else []
     )
-    kept = replace(kept, company=tuple(names[m.row] for m in company))
+    memory = replace(memory, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    standing = kept.standing.without({name for name, under_way in begun.items() if not under_way.sets_up})
-    return [*driven, *company], replace(kept, active={**kept.active, **begun}, standing=standing)
+    standing = memory.standing.without({name for name, under_way in begun.items() if not under_way.sets_up})
+    return [*driven, *company], replace(memory, active={**memory.active, **begun}, standing=standing)
 
 
-def let_in(view: SituationView, kept: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
+def let_in(view: SituationView, memory: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return the vehicles that are inserted now, for the manoeuvres that may begin, and the updated memory.
 
     Standing vehicles are only in the memory.
     """
-    kept = _update_standing(view, kept)
-    busy = {under_way.kind for under_way in kept.active.values() if not under_way.sets_up}
-    kinds = [kind for kind in kept.insertable_kinds(view) if kind not in busy]
+    memory = _update_standing(view, memory)
+    busy = {under_way.kind for under_way in memory.active.values() if not under_way.sets_up}
+    kinds = [kind for kind in memory.insertable_kinds(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
-    if kept.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):
+    if memory.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):
         # a leader would keep the target from the junction
         kinds = [kind for kind in kinds if kind == "crossing"]
     if QUEUE in kinds:
-        standing, stage = insert_queue(view, kept.stage, kept.standing)
-        kept = replace(kept, standing=standing, stage=stage)
+        standing, stage = insert_queue(view, memory.stage, memory.standing)
+        memory = replace(memory, standing=standing, stage=stage)
         kinds = [] if standing.is_queue else kinds
     for kind in SLOW_ENTRIES:
         if kind in kinds:
-            standing, stage = insert_slow_vehicle(view, kept.stage, kept.standing, kind)
-            kept = replace(kept, standing=standing, stage=stage)
-    newcomers, stage = insert_newcomers(view, kept.stage, kinds)
+            standing, stage = insert_slow_vehicle(view, memory.stage, memory.standing, kind)
+            memory = replace(memory, standing=standing, stage=stage)
+    newcomers, stage = insert_newcomers(view, memory.stage, kinds)
     standing_ones = tuple(newcomer for newcomer in newcomers if newcomer.speed_mps == 0.0)
     if standing_ones:
-        kept = replace(kept, standing=StandingTraffic("cut-out", standing_ones, view.scene.time_s))
+        memory = replace(memory, standing=StandingTraffic("cut-out", standing_ones, view.scene.time_s))
     moving_ones = tuple(newcomer for newcomer in newcomers if newcomer not in standing_ones)
-    return moving_ones, replace(kept, stage=stage)
+    return moving_ones, replace(memory, stage=stage)
 
 
-def _update_standing(view: SituationView, kept: Commitments) -> Commitments:
+def _update_standing(view: SituationView, memory: Commitments) -> Commitments:
     """Return the memory without standing vehicles that are no longer needed or could not be inserted."""
-    before, now = kept.standing, view.scene.time_s
+    before, now = memory.standing, view.scene.time_s
     if not before.members:
-        return kept
+        return memory
     standing = before.updated(view)
     missing = set(before.names) - view.scene.history.index.keys()
     not_inserted = len(missing) if now - before.since_s <= PLAN_DT_S else 0
-    stage = replace(kept.stage, most=kept.stage.most + not_inserted)  # others may be inserted instead
+    stage = replace(memory.stage, most=memory.stage.most + not_inserted)  # others may be inserted instead
     if not_inserted and not standing.members:
         standing = replace(standing, next_try_s=now + _RETRY_S)
-    agenda = kept.agenda if standing.members else kept.agenda.without(before.kind, now)
-    return replace(kept, standing=standing, stage=stage, agenda=agenda)
+    agenda = memory.agenda if standing.members else memory.agenda.without(before.kind, now)
+    return replace(memory, standing=standing, stage=stage, agenda=agenda)
 
 
 def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...]) -> Commitment:

@@ -149,19 +149,18 @@ def _lanes_beside(view: SituationView, lane: Lane, kind: str) -> Iterator[Lane]:
     To pull out, that is only the outermost one. To merge, a lane that ends is preferred, then the one towards the kerb.
     """
     lanes = view.road.lanes
-    outer, inner = (
-        (lane.left_id, lane.right_id) if kerb_side(view) == "left" else (lane.right_id, lane.left_id)
-    )
+    to_left = kerb_side(view) == "left"
+    outer, inner = (lane.left_id, lane.right_id) if to_left else (lane.right_id, lane.left_id)
     names = (outer,) if kind == PULL_OUT else (outer, inner)
     beside = [lanes[name] for name in names if name is not None and lanes[name].is_drivable]
     if kind == PULL_OUT:
-        farther = [one.left_id if kerb_side(view) == "left" else one.right_id for one in beside]
+        farther = [neighbour.left_id if to_left else neighbour.right_id for neighbour in beside]
         beside = [
-            one
-            for one, name in zip(beside, farther, strict=True)
+            neighbour
+            for neighbour, name in zip(beside, farther, strict=True)
             if name is None or not lanes[name].is_drivable
         ]
-    yield from sorted(beside, key=lambda one: bool(one.successors))
+    yield from sorted(beside, key=lambda neighbour: bool(neighbour.successors))
 
 
 def _is_alone(view: SituationView, vehicle: Newcomer) -> bool:

@@ -130,12 +130,12 @@ def insert_newcomers(
     }
     for candidates in (newcomers for kind, newcomers in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
-        taken += islice((one for one in candidates if _is_free(view, one, taken)), room)
+        taken += islice((newcomer for newcomer in candidates if _is_free(view, newcomer, taken)), room)
     if DOUBLE in kinds:
         taken += _leader_and_company(view, stage)
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
         taken += _leader_and_standing(view, stage)
-    named = tuple(replace(one, name=f"staged-{stage.count + k}") for k, one in enumerate(taken))
+    named = tuple(replace(newcomer, name=f"staged-{stage.count + k}") for k, newcomer in enumerate(taken))
     pause_s = _PAUSE_S if taken else 0.0  # the time at which a vehicle would meet the target is short
     return named, replace(stage, count=stage.count + len(taken), next_try_s=now + pause_s)
 
@@ -149,7 +149,7 @@ def plan_with(tracks: Tracks, newcomers: Sequence[Newcomer], attack: AttackState
         attack: state of the attack.
     """
     times_s = PLAN_DT_S * np.arange(1.0, PLAN_STEPS + 1.0)
-    poses = [one.way.poses(one.speed_mps * times_s, times_s) for one in newcomers]
+    poses = [newcomer.way.poses(newcomer.speed_mps * times_s, times_s) for newcomer in newcomers]
     return with_newcomers(JointPlan(tracks, attack=attack), newcomers, poses)
 
 
@@ -162,17 +162,17 @@ def with_newcomers(
     tracks = plan.tracks
     yaw = np.stack([headings for _, headings in poses])
     added = Tracks(
-        ids=tuple(one.name for one in newcomers),
-        classes=np.array([int(one.agent_class) for one in newcomers]),
-        size_m=np.array([Newcomer.size_of(one.agent_class) for one in newcomers]),
+        ids=tuple(newcomer.name for newcomer in newcomers),
+        classes=np.array([int(newcomer.agent_class) for newcomer in newcomers]),
+        size_m=np.array([Newcomer.size_of(newcomer.agent_class) for newcomer in newcomers]),
         xy_m=np.stack([xy for xy, _ in poses]),
         yaw_rad=yaw,
-        speed_mps=np.repeat([[one.speed_mps] for one in newcomers], yaw.shape[1], axis=1),
+        speed_mps=np.repeat([[newcomer.speed_mps] for newcomer in newcomers], yaw.shape[1], axis=1),
         valid=np.ones(yaw.shape, dtype=np.bool_),
         t0_s=tracks.t0_s,
         dt_s=PLAN_DT_S,
     )
-    routes = {**plan.routes, **{one.name: one.route for one in newcomers}}
+    routes = {**plan.routes, **{newcomer.name: newcomer.route for newcomer in newcomers}}
     return replace(plan, tracks=tracks.joined(added) if tracks.agents else added, routes=routes)
 
 
@@ -225,12 +225,14 @@ def _leader_and_company(view: SituationView, stage: StagingMemory) -> list[Newco
     """Return a leader, and vehicles beside and behind the target, as far as they are missing."""
     company: list[Newcomer] = []
     most = stage.most - stage.count - 1
-    for one in _missing_company(view):
-        if len(company) < most and _is_free(view, one, ()) and _is_apart(one, company):
-            company.append(one)
+    for newcomer in _missing_company(view):
+        if len(company) < most and _is_free(view, newcomer, ()) and _is_apart(newcomer, company):
+            company.append(newcomer)
     shifts_m = _LEADER_SHIFTS_M if company_places(view) else ()
-    leaders = (one for more_m in shifts_m for one in _leaders(view, stage, more_m))
-    free_leaders = (one for one in leaders if _is_free(view, one, ()) and _is_apart(one, company))
+    leaders = (newcomer for more_m in shifts_m for newcomer in _leaders(view, stage, more_m))
+    free_leaders = (
+        newcomer for newcomer in leaders if _is_free(view, newcomer, ()) and _is_apart(newcomer, company)
+    )
     return [*islice(free_leaders, 1), *company] if most >= 0 else []
 
 
@@ -271,7 +273,7 @@ def _leader_and_standing(view: SituationView, stage: StagingMemory) -> Sequence[
     leader_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _MIN_HIDING_M)
     standing_m = leader_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0]
     leaders = _on_way(view, target.way, leader_m, speed, AgentClass.CAR)
-    leader = [one for one in leaders if _is_free(view, one, ())]
+    leader = [newcomer for newcomer in leaders if _is_free(view, newcomer, ())]
     way = view.extended_way(target.way, standing_m)
     standing = list(_on_way(view, way, standing_m, 0.0, stage.agent_class))
     return [*leader, *standing] if leader and standing and _meets_nobody(view, standing[0]) else ()

@@ -89,18 +89,18 @@ def test_only_who_comes_from_ahead_begins(sign: RoadMap) -> None:
     ahead = before(sign, LEFT, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](ahead, 1))
     assert crossings
-    assert list(filter_oncoming(ahead, crossings, alone=True)) == crossings
+    assert list(filter_oncoming(ahead, crossings, only_oncoming=True)) == crossings
     aside = before(sign, NORTH, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](aside, 1))
     assert crossings
-    assert list(filter_oncoming(aside, crossings, alone=True)) == []
-    assert list(filter_oncoming(aside, crossings, alone=False)) == crossings
+    assert list(filter_oncoming(aside, crossings, only_oncoming=True)) == []
+    assert list(filter_oncoming(aside, crossings, only_oncoming=False)) == crossings
 
 
 @pytest.mark.parametrize(("speed_mps", "begins"), [(5.0, True), (11.0, False)])
 def test_nobody_begins_to_turn_faster_than_its_bend(speed_mps: float, begins: bool, bend: RoadMap) -> None:
     view = before(bend, STRAIGHT, (("east_in", "south_out"), speed_mps))
-    timed = list(filter_oncoming(view, KINDS["crossing"](view, 1), alone=True))
+    timed = list(filter_oncoming(view, KINDS["crossing"](view, 1), only_oncoming=True))
     assert bool(timed) == begins
     assert all(one.profile.highest_mps < 6.0 for one in timed)
 

@@ -1,4 +1,4 @@
-"""Scenes on a straight lane of the shipped motorway, worked out by hand."""
+"""Hand-made scenes on a straight lane of the shipped motorway."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def long_lane(road: RoadMap) -> Lane:
 
 
 def scene_on(lanes: Mapping[str, tuple[Lane, float, float]], time_s: float = 0.0) -> Scene:
-    """Return a scene of named vehicles at *time_s*, the target first: name → (lane, place along it, speed)."""
+    """Return a scene at *time_s* of vehicles, given as name → (lane, place along it, speed); the target comes first."""
     names = tuple(lanes)
     poses = [lane.line.at(s) for lane, s, _ in lanes.values()]
     count, steps = len(names), 5
@@ -47,7 +47,7 @@ def scene_on(lanes: Mapping[str, tuple[Lane, float, float]], time_s: float = 0.0
 
 
 def view_of(road: RoadMap, time_s: float = 0.0, **cars: tuple[int, float, float]) -> SituationView:
-    """Return a view of cars at *time_s*: name → (lanes left of the rightmost, place, speed); the target first."""
+    """Return a view at *time_s* of cars, name → (lanes left of the rightmost, place, speed); the target comes first."""
     right = long_lane(road)
     lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
     return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}, time_s))

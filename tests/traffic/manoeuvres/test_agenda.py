@@ -1,4 +1,4 @@
-"""Whose turn it is in an episode of "any": what the road leaves room for, and no kind for ever."""
+"""Turns of the kinds in an episode of "any": a turn ends in time, or at once if there is no room for the kind."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def later(view: SituationView, time_s: float) -> SituationView:
     return SituationView(view.road, replace(view.scene, history=history), view.ways)
 
 
-def test_a_kind_for_which_there_is_no_place_loses_its_turn(motorway: RoadMap) -> None:
-    """Nobody has to give way on a straight motorway, but there is a lane beside; behind a leader there is no room."""
+def test_an_impossible_kind_loses_its_turn(motorway: RoadMap) -> None:
+    """A motorway has no crossings, but a lane beside for a cut-in. A leader leaves no room for a vehicle to cut in."""
     free = view_of(motorway, target=(0, 50.0, 20.0))
     assert Agenda(ORDER).updated(free).now == "cut-in"
     behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
     assert Agenda(ORDER).updated(behind).now == "hard-stop"
 
 
-def test_a_turn_ends(motorway: RoadMap) -> None:
+def test_a_turn_ends_in_time(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     agenda = Agenda(ORDER).updated(view)
     assert agenda.updated(later(view, TURN_S - 0.5)).now == "cut-in"
@@ -47,7 +47,7 @@ def test_a_single_kind_has_no_turns(motorway: RoadMap) -> None:
     assert begun.insertable_kinds(view) == ("crossing",)
 
 
-def test_every_order_holds_every_kind() -> None:
+def test_every_order_contains_every_kind() -> None:
     drawn = [Agenda.draw(np.random.default_rng(k)).order for k in range(40)]
     assert {tuple(sorted({*order} - {"cut-out", "queue"})) for order in drawn} == {tuple(sorted(ORDER))}
     assert {order[0] for order in drawn} == {"crossing", "cut-in", "cut-out"}
@@ -57,8 +57,8 @@ def test_every_order_holds_every_kind() -> None:
     assert sum("queue" in order for order in drawn) < sum("cut-out" in order for order in drawn)
 
 
-def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> None:
-    """There is room for it at 9 m/s, none at 20 m/s; when its turn is over it does not come again."""
+def test_a_cut_out_has_its_turn_only_at_the_beginning(motorway: RoadMap) -> None:
+    """There is room for it at 9 m/s, but not at 20 m/s. It has no second turn."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
     begun = Agenda(("cut-out", *ORDER)).updated(view)
     assert begun.now == "cut-out"
@@ -70,8 +70,8 @@ def test_a_cut_out_has_its_turn_at_the_beginning_alone(motorway: RoadMap) -> Non
     assert Agenda(("cut-out", *ORDER)).updated(fast).now == "cut-in"
 
 
-def test_a_queue_has_its_turn_where_no_cut_out_is_possible(motorway: RoadMap) -> None:
-    """At 20 m/s and at the beginning alone; behind a leader there is room for neither."""
+def test_a_queue_has_its_turn_if_no_cut_out_is_possible(motorway: RoadMap) -> None:
+    """This is so at 20 m/s, and only at the beginning. Behind a leader there is room for neither."""
     fast = view_of(motorway, target=(0, 50.0, 20.0))
     begun = Agenda(("cut-out", "queue", *ORDER)).updated(fast)
     assert begun.now == "queue"
@@ -83,7 +83,7 @@ def test_a_queue_has_its_turn_where_no_cut_out_is_possible(motorway: RoadMap) ->
 
 
 def approach(road: RoadMap, to_line_m: float, speed_mps: float) -> SituationView:
-    """Return a target alone, so far before a stop line where it has to give way without lights."""
+    """Return a target alone, *to_line_m* before a stop line without lights where it must yield."""
     link = next(
         link
         for lane in road.lanes.values()
@@ -96,15 +96,15 @@ def approach(road: RoadMap, to_line_m: float, speed_mps: float) -> SituationView
     return SituationView.of(road, replace(scene, routes=(route,)))
 
 
-@pytest.mark.parametrize(("speed_mps", "comes"), [(8.0, False), (12.0, True)])
+@pytest.mark.parametrize(("speed_mps", "crossing_first"), [(8.0, False), (12.0, True)])
 def test_a_junction_where_the_target_has_to_yield_comes_first(
-    downtown: RoadMap, speed_mps: float, comes: bool
+    downtown: RoadMap, speed_mps: float, crossing_first: bool
 ) -> None:
-    """It foresees 8 s: 90 m before the line somebody leads it at 8 m/s, 64 m in that time, and nobody at 12 m/s."""
+    """The foresight is 8 s. 90 m before the line it does not cover the way at 8 m/s (64 m), so a leader is inserted."""
     order = ("hard-stop", "cut-in", "crossing")
     view = approach(downtown, 90.0, speed_mps)
     agenda = Agenda(order).updated(view)
-    assert agenda.order == (("crossing", "hard-stop", "cut-in") if comes else order)
+    assert agenda.order == (("crossing", "hard-stop", "cut-in") if crossing_first else order)
     kept = replace(Commitments.start("any", np.random.default_rng(0), 6), agenda=agenda)
-    leaders = [one for one in let_in(view, kept)[0] if one.speed_mps == speed_mps]
-    assert len(leaders) == (not comes)
+    leaders = [newcomer for newcomer in let_in(view, kept)[0] if newcomer.speed_mps == speed_mps]
+    assert len(leaders) == (not crossing_first)

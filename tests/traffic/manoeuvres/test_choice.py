@@ -1,4 +1,4 @@
-"""What is lawful, what it asks of the target, and what is chosen, on a straight lane of the motorway."""
+"""Which manoeuvres are lawful, the braking they require, and the choice, on a straight lane of the motorway."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def needed(view: SituationView, *manoeuvres: Manoeuvre, perceived_s: float = 0.0
     futures = futures_of_manoeuvres(manoeuvres, speed)
     assert view.target is not None
     size = view.scene.history.size_m[[m.row for m in manoeuvres]]
-    when = np.full(len(manoeuvres), perceived_s)
-    return needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, when).tolist()
+    times_s = np.full(len(manoeuvres), perceived_s)
+    return needed_braking(view.target, futures.xy_m, futures.yaw_rad, size, times_s).tolist()
 
 
-def test_braking_that_is_needed_behind_a_stopping_leader(motorway: RoadMap) -> None:
+def test_required_braking_behind_a_stopping_leader(motorway: RoadMap) -> None:
     """Both at 20 m/s; the leader stops in 20²/(2·8) = 25 m.
 
-    The target goes on for 0.75 s at 0.5 m/s²: 15.1 m, up to 20.4 m/s. Less 0.3 m of room, gaps of 40, 30, 22 and
-    10 m leave 49.6, 39.6, 31.6 and 19.6 m, for which 4.2, 5.3, 6.6 and 10.6 m/s² are needed; tried are whole ones.
+    The target accelerates at 0.5 m/s² for 0.75 s: 15.1 m, up to 20.4 m/s. Less 0.3 m of clearance, gaps of 40, 30, 22
+    and 10 m leave 49.6, 39.6, 31.6 and 19.6 m. These require 4.2, 5.3, 6.6 and 10.6 m/s²; whole values are tried.
     """
     gaps = {40.0: 5.0, 30.0: 6.0, 22.0: 7.0, 10.0: INSUFFICIENT_MPS2}
     for gap, braking in gaps.items():
@@ -42,12 +42,12 @@ def test_braking_that_is_needed_behind_a_stopping_leader(motorway: RoadMap) -> N
         assert needed(view, stop) == [braking], gap
 
 
-def test_no_braking_is_needed_for_who_goes_on(motorway: RoadMap) -> None:
+def test_a_leader_that_drives_on_requires_no_braking(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 25.0))
     assert needed(view, Manoeuvre("hard-stop", 1, view.ways[1])) == [0.0]
 
 
-def test_who_is_perceived_later_asks_for_more(motorway: RoadMap) -> None:
+def test_a_stop_that_is_perceived_later_requires_harder_braking(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))
     stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-6.0))
     assert needed(view, stop, perceived_s=1.0)[0] > needed(view, stop)[0]
@@ -66,13 +66,13 @@ def is_lawful(view: SituationView, manoeuvre: Manoeuvre) -> bool:
 
 @pytest.mark.parametrize(("spare", "allowed"), [(-0.5, False), (0.5, True)])
 def test_a_lane_change_needs_the_safe_gap(motorway: RoadMap, spare: float, allowed: bool) -> None:
-    """Both at 20 m/s, judged half a metre a second faster for who follows, with a tenth and a metre on top."""
+    """Both drive at 20 m/s. The follower counts as 0.5 m/s faster, and the gap as a tenth and 1 m larger."""
     gap = 1.1 * safe_gap_m(20.5, 20.0) + 1.0 + spare
     view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 50.0 + LENGTH_M + gap, 20.0))
     assert is_lawful(view, change(view)) is allowed
 
 
-def test_nobody_drives_into_others(motorway: RoadMap) -> None:
+def test_a_manoeuvre_must_not_collide_with_others(motorway: RoadMap) -> None:
     cars = {"target": (0, 50.0, 20.0), "other": (1, 90.0, 20.0)}
     free = view_of(motorway, **cars)
     assert is_lawful(free, change(free))
@@ -80,7 +80,7 @@ def test_nobody_drives_into_others(motorway: RoadMap) -> None:
     assert not is_lawful(blocked, change(blocked))
 
 
-def test_the_limit_holds(motorway: RoadMap) -> None:
+def test_a_manoeuvre_keeps_to_the_limit(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 90.0, 20.0))
     limit = view.ways[1].lane.speed_mps
     assert not is_lawful(
@@ -88,7 +88,7 @@ def test_the_limit_holds(motorway: RoadMap) -> None:
     )
 
 
-def test_red_lights_hold(networks: object) -> None:
+def test_a_manoeuvre_stops_at_red_lights(networks: object) -> None:
     road = RoadMap.read(f"{networks}/downtown.net.xml")
     link = next(
         x for lane in road.lanes.values() for x in lane.successors if x.tls_id and not lane.is_internal
@@ -99,11 +99,11 @@ def test_red_lights_hold(networks: object) -> None:
     for letter, allowed in (("r", False), ("G", True)):
         lights = {link.tls_id or "": letter * 60}
         view = SituationView.of(road, replace(scene, signals=lights))
-        goes_on = Manoeuvre("stop-and-go", 1, view.ways[1], SpeedProfile())
-        assert is_lawful(view, goes_on) is allowed
+        steady = Manoeuvre("stop-and-go", 1, view.ways[1], SpeedProfile())
+        assert is_lawful(view, steady) is allowed
 
 
-def test_the_hardest_answerable_manoeuvre_is_chosen(motorway: RoadMap) -> None:
+def test_the_hardest_manoeuvre_that_braking_avoids_is_chosen(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 85.0, 20.0))
     proposals = [m for kind in KINDS.values() for m in kind(view, 1)]
     best = rank(view, proposals, dict.fromkeys(KINDS, 1.0))[0]
@@ -111,7 +111,7 @@ def test_the_hardest_answerable_manoeuvre_is_chosen(motorway: RoadMap) -> None:
     assert 5.0 <= best.needed_mps2 <= 7.0
 
 
-def test_who_is_behind_proposes_nothing(motorway: RoadMap) -> None:
+def test_a_follower_proposes_no_manoeuvre(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 90.0, 20.0), follower=(0, 50.0, 30.0))
     assert [m for kind in KINDS.values() for m in kind(view, 1)] == []
 
@@ -122,7 +122,7 @@ def test_who_is_behind_proposes_nothing(motorway: RoadMap) -> None:
 def test_a_manoeuvre_does_not_drive_into_people(
     motorway: RoadMap, beside_m: float, walks_mps: float, allowed: bool
 ) -> None:
-    """A leader that goes on at 10 m/s, and somebody on foot 20 m ahead of it who faces along the road."""
+    """A leader drives on at 10 m/s. A pedestrian 20 m ahead of it faces along the road."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 80.0, 10.0), walker=(0, 100.0, 0.0))
     scene, walker = view.scene, view.scene.history.index["walker"]
     yaw = scene.history.yaw_rad[walker, 0]
@@ -138,8 +138,8 @@ def test_a_manoeuvre_does_not_drive_into_people(
     assert is_lawful(crowd, Manoeuvre("hard-stop", 1, crowd.ways[1])) == allowed
 
 
-def test_a_cut_out_asks_for_braking_before_who_stands(motorway: RoadMap) -> None:
-    """20 m before the leader somebody stands: it leaves 2 s before, and the target then has to stop behind him."""
+def test_a_cut_out_requires_braking_for_the_standing_vehicle(motorway: RoadMap) -> None:
+    """A vehicle stands ahead of the leader, which leaves the lane 2 s before it. The target then has to stop."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
     proposals = list(KINDS["cut-out"](view, 1))
     assert {m.revealed_row for m in proposals} == {2}
@@ -151,7 +151,7 @@ def test_a_cut_out_asks_for_braking_before_who_stands(motorway: RoadMap) -> None
     assert list(KINDS["cut-out"](alone, 1)) == []
 
 
-def test_who_cuts_out_keeps_its_lane_until_then(motorway: RoadMap) -> None:
+def test_a_leader_keeps_its_lane_until_it_cuts_out(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
     late = next(KINDS["cut-out"](view, 1))
     future = futures_of_manoeuvres([late], np.array([10.0]))

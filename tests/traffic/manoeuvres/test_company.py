@@ -1,4 +1,4 @@
-"""A leader that stops while others are nearer to the target: where they drive, and when it hides among them."""
+"""A leader that stops while other vehicles are nearer to the target: where these drive, and when they mask it."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ FRONT, REAR, LEVEL = {"front": (2, 108.0, 20.0)}, {"rear": (2, 87.0, 20.0)}, {"l
 
 def stop(view: SituationView) -> bool:
     """Return whether the leader, row 1, may stop."""
-    return any(not one.sets_up for one in hard_stop_in_company(view, 1))
+    return any(not manoeuvre.sets_up for manoeuvre in hard_stop_in_company(view, 1))
 
 
 def test_the_company_keeps_lawful_gaps(motorway: RoadMap) -> None:
-    """At 20 m/s: 1.1 · 0.75 s · 20 m/s, 1 m and a car of 4.6 m are 22.1 m, of which 0.4 lie ahead of the target."""
+    """At 20 m/s: 1.1 · 0.75 s · 20 m/s, 1 m and a car of 4.6 m are 22.1 m; a share of 0.4 is ahead of the target."""
     assert car_spacing_m(20.0) == pytest.approx(22.1)
     between = company_places(view_of(motorway, **TARGET))
     assert between["left"] == pytest.approx((8.84, -13.26))
@@ -62,8 +62,8 @@ def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
     assert insert_newcomers(view, StagingMemory(most=6), (DOUBLE,))[0] == ()
 
 
-def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: RoadMap) -> None:
-    """Of two lanes side by side that lead into one, or of which one ends, neither has company on the other."""
+def test_no_company_on_a_lane_that_ends_or_leads_into_the_targets(motorway: RoadMap) -> None:
+    """The right one of two lanes is the target's; the left one leads into the same lane, or ends."""
     count = 0
     for lane in motorway.lanes.values():
         beside = motorway.lanes[lane.left_id] if lane.left_id and not lane.is_internal else None
@@ -77,7 +77,7 @@ def test_nobody_drives_on_a_lane_that_ends_or_leads_into_the_targets(motorway: R
     assert count
 
 
-def test_who_leads_the_target_through_a_bend_is_not_beside_it(tmp_path: Path) -> None:
+def test_a_leader_in_a_bend_is_not_beside_the_target(tmp_path: Path) -> None:
     """After 38 m of a bend of 150 m radius a leader is 38²/(2 · 150) m = 4.8 m to the left of the target's heading."""
     turns = np.arange(0.0, 1.5, 0.1)
     shape = " ".join(f"{150.0 * np.sin(a):.2f},{150.0 * (1.0 - np.cos(a)):.2f}" for a in turns)
@@ -89,8 +89,8 @@ def test_who_leads_the_target_through_a_bend_is_not_beside_it(tmp_path: Path) ->
     assert company_rows(view, "left") == [2]
 
 
-def test_who_comes_up_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Path) -> None:
-    """The ramp meets the road at 11°: 20 m before, it is 4 m aside; without the ways ahead it would be company."""
+def test_a_vehicle_on_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Path) -> None:
+    """The ramp meets the road at 11°, and is 4 m aside 20 m before. Only the ways ahead show that it joins the road."""
     nodes = "".join(
         f'<node id="{name}" x="{x}" y="{y}"/>'
         for name, x, y in (("a", 0, 0), ("r", 0, -60), ("m", 300, 0), ("e", 600, 0))
@@ -114,30 +114,30 @@ def test_who_comes_up_a_ramp_into_the_targets_lane_is_not_beside_it(tmp_path: Pa
     [
         (FRONT | REAR | LEVEL, True),
         (REAR | LEVEL, False),  # the leader is the nearest ahead
-        (FRONT | REAR, True),  # it is one of the nearest three, but nobody else comes
-        (FRONT | REAR | {"late": (0, 140.0, 15.0)}, False),  # somebody does, and is not there yet
+        (FRONT | REAR, True),  # it is one of the nearest three, but no other vehicle comes nearer
+        (FRONT | REAR | {"late": (0, 140.0, 15.0)}, False),  # another one comes nearer, and is not there yet
         ({}, False),
     ],
 )
-def test_the_leader_stops_where_others_are_nearer(
+def test_the_leader_stops_if_others_are_nearer(
     company: dict[str, tuple[int, float, float]], stops: bool, motorway: RoadMap
 ) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **company)
     assert stop(view) == stops
-    assert any(one.sets_up for one in hard_stop_in_company(view, 1))
+    assert any(manoeuvre.sets_up for manoeuvre in hard_stop_in_company(view, 1))
 
 
-def test_a_careful_driver_answers_the_stop(motorway: RoadMap) -> None:
-    """32.1 m of gap and 20²/(2 · 6) m of the leader's way less 15.1 m in 0.75 s: 50 m, for 20.4 m/s 4.2 m/s²."""
+def test_a_careful_driver_avoids_the_stopping_leader(motorway: RoadMap) -> None:
+    """A gap of 32.1 m and 20²/(2 · 6) m less 15.1 m in 0.75 s leave 50 m, which requires 4.2 m/s² from 20.4 m/s."""
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
-    stops = [one for one in hard_stop_in_company(view, 1) if one.profile.then_mps2 == -6.0]
+    stops = [m for m in hard_stop_in_company(view, 1) if m.profile.then_mps2 == -6.0]
     (chosen,) = rank(view, stops, {DOUBLE: 1.0})
     assert chosen.needed_mps2 == 5.0
     assert is_masked(view, chosen.manoeuvre)
 
 
-def test_the_leader_brakes_as_asked(motorway: RoadMap) -> None:
-    """Asked for 5 m/s², which is none of those that are tried."""
+def test_the_leader_brakes_as_prescribed(motorway: RoadMap) -> None:
+    """The prescribed 5 m/s² is none of the values that are tried."""
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL, time_s=10.0)
     since_s = dict.fromkeys(view.scene.history.ids, 0.0)
     kept = Commitments({DOUBLE: 1.0}, intensity=Intensity(braking_mps2=5.0), since_s=since_s)
@@ -145,31 +145,31 @@ def test_the_leader_brakes_as_asked(motorway: RoadMap) -> None:
     assert [m.profile.then_mps2 for m in stops] == [-5.0]
 
 
-def test_who_falls_too_far_back_hides_nobody(motorway: RoadMap) -> None:
-    """With everybody at 10 m/s but the target the company is 20 m behind when the leader stands."""
+def test_vehicles_that_fall_too_far_back_do_not_mask_the_leader(motorway: RoadMap) -> None:
+    """The company drives at 10 m/s, and is 20 m behind the target when the leader stands."""
     slow = {name: (lane, at, 10.0) for name, (lane, at, _) in (FRONT | REAR | LEVEL).items()}
     assert not stop(view_of(motorway, **TARGET, **LEADER, **slow))
 
 
 def test_the_company_gets_to_its_places_within_the_limit(motorway: RoadMap) -> None:
-    """The front one at 30 m and the rear one level with the target both fall back; the right one draws level."""
+    """The front one, at 30 m, and the rear one, level with the target, fall back. The right one closes up."""
     cars = {"front": (2, 130.0, 20.0), "rear": (2, 100.0, 20.0), "level": (0, 85.0, 20.0)}
     view = view_of(motorway, **TARGET, **cars)
-    gains = {m.row: m.profile.first_mps2 for m in company_manoeuvres(view, ())}
-    assert gains[1] < 0.0
-    assert gains[2] < 0.0
-    assert gains[3] > 0.0
+    accels = {m.row: m.profile.first_mps2 for m in company_manoeuvres(view, ())}
+    assert accels[1] < 0.0
+    assert accels[2] < 0.0
+    assert accels[3] > 0.0
     assert all(m.profile.highest_mps == m.way.lane.speed_mps for m in company_manoeuvres(view, ()))
     assert {m.row for m in company_manoeuvres(view, {1})} == {2, 3}
 
 
-def test_who_would_touch_somebody_is_its_own_driver(motorway: RoadMap) -> None:
-    """Somebody stands 20 m ahead of the front one, on its lane."""
+def test_a_vehicle_that_would_collide_is_left_to_sumo(motorway: RoadMap) -> None:
+    """A vehicle stands 20 m ahead of the front one, on its lane."""
     view = view_of(motorway, **TARGET, **FRONT, stands=(2, 128.0, 0.0))
     assert 1 not in {m.row for m in company_manoeuvres(view, ())}
 
 
-def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
+def test_no_vehicle_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **FRONT, **REAR)
     assert company_manoeuvres(view, ())
     speed = view.scene.history.speed_mps.copy()
@@ -180,8 +180,10 @@ def test_nobody_accompanies_a_target_that_brakes(motorway: RoadMap) -> None:
 
 
 @pytest.mark.parametrize("sideways_mps", [1.0, -1.0])
-def test_nobody_hems_in_a_target_that_changes_lanes(sideways_mps: float, motorway: RoadMap) -> None:
-    """Who closes up on the lane that the target moves to would take the lawful gap from it."""
+def test_the_company_leaves_room_for_a_target_that_changes_lanes(
+    sideways_mps: float, motorway: RoadMap
+) -> None:
+    """A vehicle that closes up on the goal lane would take away the lawful gap."""
     view = view_of(motorway, **TARGET, rear=(2, 75.0, 20.0))
     assert [m.profile.first_mps2 > 0.0 for m in company_manoeuvres(view, ())] == [True]
     history = view.scene.history
@@ -192,7 +194,7 @@ def test_nobody_hems_in_a_target_that_changes_lanes(sideways_mps: float, motorwa
     assert company_manoeuvres(changing, ()) == []
 
 
-def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: RoadMap) -> None:
+def test_the_company_takes_part_in_the_encounter_without_attacking(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
     driven, kept = advance(view, Commitments({DOUBLE: 1.0}), 1, 8.0)
     assert [m.kind for m in driven] == [DOUBLE, *[ACCOMPANIES] * 3]
@@ -202,8 +204,8 @@ def test_the_company_takes_part_in_the_encounter_and_attacks_nobody(motorway: Ro
     assert advance(view, Commitments({"hard-stop": 1.0}), 1, 8.0)[1].manoeuvres == {}
 
 
-def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:
-    """On an empty road a leader and three more, all of them cars but the leader, with room for as many as may come."""
+def test_company_is_inserted_around_the_target(motorway: RoadMap) -> None:
+    """On an empty road these are a leader and three cars, limited by the number that may be inserted."""
     view = view_of(motorway, **TARGET)
     assert dict(insertion_places(view, 19.0)) == {"left": pytest.approx(19.0), "right": pytest.approx(-19.0)}
     (leader, *company), stage = insert_newcomers(
@@ -211,16 +213,16 @@ def test_company_comes_in_around_the_target(motorway: RoadMap) -> None:
     )
     assert stage.count == 4
     assert leader.agent_class is AgentClass.TRUCK
-    assert {one.agent_class for one in company} == {AgentClass.CAR}
+    assert {newcomer.agent_class for newcomer in company} == {AgentClass.CAR}
     assert view.target is not None
-    ahead, left = view.target.way.line.project(np.array([one.xy_m for one in (leader, *company)]))
+    ahead, left = view.target.way.line.project(np.array([newcomer.xy_m for newcomer in (leader, *company)]))
     assert ahead - 100.0 == pytest.approx([38.0, -19.0, 19.0, -19.0], abs=0.5)
     assert np.sign(np.round(left)).tolist() == [0.0, 1.0, 1.0, -1.0]
     assert len(insert_newcomers(view, StagingMemory(most=2), (DOUBLE,))[0]) == 2
     assert insert_newcomers(view, StagingMemory(most=0), (DOUBLE,))[0] == ()
 
 
-def test_an_episode_of_double_is_about_nothing_else(motorway: RoadMap) -> None:
+def test_an_episode_of_double_has_no_other_kind(motorway: RoadMap) -> None:
     kept = Commitments.start("double", np.random.default_rng(3), staged=6)
     view = view_of(motorway, **TARGET)
     newcomers, kept = let_in(view, kept)

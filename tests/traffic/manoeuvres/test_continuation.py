@@ -1,4 +1,4 @@
-"""Who cuts in slows down on the target's lane, not before, however long it takes to get there."""
+"""A vehicle that cuts in brakes on the target's lane, not before, however long it takes to get there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.traffic.manoeuvres.scenes import view_of
 
 
 @pytest.mark.parametrize(
-    ("over_m", "width_m", "licence", "later"),
+    ("over_m", "width_m", "licence", "brakes_later"),
     [
         (-0.5, 1.8, LAWFUL, True),
         (0.2, 1.8, LAWFUL, True),
@@ -25,14 +25,14 @@ from tests.traffic.manoeuvres.scenes import view_of
         (0.2, 1.8, None, False),
     ],
 )
-def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
-    motorway: RoadMap, over_m: float, width_m: float, licence: Licence | None, later: bool
+def test_a_cut_in_brakes_only_after_the_entry_unless_it_is_reckless(
+    motorway: RoadMap, over_m: float, width_m: float, licence: Licence | None, brakes_later: bool
 ) -> None:
-    """Its box reaches *over_m* over the line between lanes of 3.5 m; 0.3 m are entering.
+    """Its box reaches *over_m* over the line between lanes of 3.5 m; it enters at 0.3 m.
 
-    It should brake now, but goes on for as long as it takes to come over. It does not move sideways yet: of the way
-    left, at 1.1 m/s in the mean, 3 x² − 2 x³ are behind it after x of the time, and half of both widths less 0.3 m are
-    before it when it enters: 2.35 m for a car, 1.85 m for a motorcycle.
+    It should brake now, but drives on until it has entered. It does not move sideways yet. At a mean lateral speed of
+    1.1 m/s it has covered 3 x² − 2 x³ of the distance after a share x of the time. At the entry half of both widths
+    less 0.3 m are left: 2.35 m for a car, 1.85 m for a motorcycle.
     """
     view = view_of(motorway, time_s=5.0, target=(0, 80.0, 15.0), other=(1, 120.0, 15.0))
     lane = view.target.way.present_lane if view.target is not None else None
@@ -43,25 +43,22 @@ def test_who_cuts_in_brakes_once_it_has_entered_unless_it_is_reckless(
     view.scene.history.size_m[1, 1] = width_m
     view = SituationView.of(motorway, view.scene)
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
-    going, _ = continue_manoeuvres(
-        view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, licence
-    )
+    memory = Commitments({"cut-in": 1.0}, active={"other": cuts_in})
+    going, _ = continue_manoeuvres(view, memory, 8.0, licence)
     assert [m.kind for m in going] == ["cut-in"]
     x = np.linspace(0.0, 1.0, 1001)
     entered = 0.5 * (lane.width_m + width_m) - 0.3
     share = float(np.interp(1.0 - entered / across, 3.0 * x**2 - 2.0 * x**3, x))
-    expected = share * across / 1.1 if later else 0.0
-    assert going[0].profile.switch_s == pytest.approx(expected, abs=0.06)  # it looks every 0.05 s
+    expected = share * across / 1.1 if brakes_later else 0.0
+    assert going[0].profile.switch_s == pytest.approx(expected, abs=0.06)  # times are multiples of 0.05 s
     assert np.isclose(going[0].profile.then_mps2, -6.5)
 
 
-def test_who_would_leave_no_answer_once_over_the_line_does_not_cut_in(motorway: RoadMap) -> None:
-    """At 30 m/s both, 26 m apart, a safe gap: the other stops in 53 m, the target, with 7 m/s², in 22.5 m and 64 m."""
+def test_a_cut_in_ends_if_no_braking_could_avoid_it_after_the_entry(motorway: RoadMap) -> None:
+    """Both drive at 30 m/s, 26 m apart, a safe gap. The other stops in 53 m, the target in 22.5 and 64 m at 7 m/s²."""
     view = view_of(motorway, time_s=5.0, target=(0, 80.0, 30.0), other=(1, 110.5, 30.0))
     lane = view.target.way.present_lane if view.target is not None else None
     assert lane is not None
     cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-8.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
-    assert (
-        continue_manoeuvres(view, Commitments({"cut-in": 1.0}, active={"other": cuts_in}), 8.0, LAWFUL)[0]
-        == []
-    )
+    memory = Commitments({"cut-in": 1.0}, active={"other": cuts_in})
+    assert continue_manoeuvres(view, memory, 8.0, LAWFUL)[0] == []

@@ -1,4 +1,4 @@
-"""What an encounter is in numbers, worked by hand on the motorway."""
+"""Features of encounters, worked by hand on the motorway."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def with_class(view: SituationView, row: int, agent_class: AgentClass) -> Situat
 
 
 def test_a_lorry_that_stops_ahead(motorway: RoadMap) -> None:
-    """Target at 15 m/s; a lorry at 12 m/s, 45 m ahead round a slight bend, brakes at 6 m/s²; 4 m/s² are needed."""
+    """The target drives at 15 m/s. A lorry at 12 m/s, 45 m ahead in a slight bend, brakes at 6 m/s²; 4 are required."""
     view = view_of(motorway, target=(0, 50.0, 15.0), lorry=(0, 95.0, 12.0))
     view = with_class(view, 1, AgentClass.TRUCK)
     stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-6.0))
@@ -47,8 +47,8 @@ def test_a_lorry_that_stops_ahead(motorway: RoadMap) -> None:
         assert of(x, name) == pytest.approx(wanted.get(name, 0.0), abs=0.01), name
 
 
-def test_who_is_beside_and_who_needs_more_than_a_driver_has(motorway: RoadMap) -> None:
-    """On the lane to the left, 10 m ahead: its bearing has the sine of one lane over the distance. 99 counts as 7."""
+def test_bearing_of_a_vehicle_beside_and_insufficient_braking(motorway: RoadMap) -> None:
+    """On the left lane, 10 m ahead, the sine of the bearing is the lane width over the distance. 99 counts as 7."""
     view = view_of(motorway, target=(0, 50.0, 10.0), other=(1, 60.0, 10.0))
     width = motorway.lanes[view.ways[1].present_lane.id].width_m
     stop = Manoeuvre("cut-in", 1, view.ways[1])
@@ -57,7 +57,7 @@ def test_who_is_beside_and_who_needs_more_than_a_driver_has(motorway: RoadMap) -
     assert of(x, "needed_braking") == pytest.approx(0.4)
 
 
-def test_who_is_revealed_counts(motorway: RoadMap) -> None:
+def test_features_are_those_of_the_revealed_vehicle(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 70.0, 10.0), stands=(0, 100.0, 0.0))
     revealing = Manoeuvre("cut-out", 1, view.ways[1], revealed_row=2)
     (x,) = encounter_features(view, [revealing], np.array([3.0]))
@@ -65,7 +65,7 @@ def test_who_is_revealed_counts(motorway: RoadMap) -> None:
     assert of(x, "distance") == pytest.approx(50.0 / 30.0 - 1.0, abs=1e-3)
 
 
-def test_the_same_with_another_vehicle() -> None:
+def test_features_with_another_vehicle() -> None:
     typical = np.zeros((2, len(FEATURES)))
     lorry = with_vehicle(typical, AgentClass.BUS, oncoming=True)
     assert {name for name in FEATURES if of(lorry[0], name)} == {"heavy", "oncoming"}

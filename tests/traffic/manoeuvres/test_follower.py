@@ -1,4 +1,4 @@
-"""Who follows the target brakes for what it should brake for, on a straight lane of the motorway."""
+"""The vehicle behind the target brakes for what the target should brake for, on a straight lane of the motorway."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
 
 
 def behind(road: RoadMap, gap_m: float, speed_mps: float = 10.0) -> SituationView:
-    """Return a target at 10 m/s with somebody *gap_m* behind it."""
+    """Return a target at 10 m/s with a vehicle *gap_m* behind it."""
     return view_of(road, target=(0, 80.0, 10.0), follower=(0, 80.0 - LENGTH_M - gap_m, speed_mps))
 
 
@@ -30,23 +30,23 @@ def behind(road: RoadMap, gap_m: float, speed_mps: float = 10.0) -> SituationVie
 def test_the_mildest_braking_behind_a_careful_driver(
     motorway: RoadMap, gap_m: float, braking: float | None
 ) -> None:
-    """The careful driver goes on for 0.75 s, up to 10.4 m/s: 7.6 m; then stops with 7.59 m/s² in 7.1 m.
+    """The careful driver accelerates for 0.75 s to 10.4 m/s (7.6 m), then stops with 7.59 m/s² in 7.1 m.
 
-    Who follows goes on for 7.5 m. Less a metre of room, gaps of 20, 10 and 2 m leave it 26.2, 16.2 and 8.2 m, for
-    which 1.9, 3.1 and 6.1 m/s² are needed; tried are whole ones, up to 6.
+    The follower first drives on for 7.5 m. Less a margin of 1 m, gaps of 20, 10 and 2 m leave 26.2, 16.2 and 8.2 m.
+    These require 1.9, 3.1 and 6.1 m/s²; whole values up to 6 are tried.
     """
     brakes = braking_behind(behind(motorway, gap_m), 1, 0.0)
     assert (None if brakes is None else -brakes.profile.then_mps2) == braking
 
 
-def test_later_perceived_is_later_braked(motorway: RoadMap) -> None:
+def test_the_follower_brakes_later_if_the_target_perceives_later(motorway: RoadMap) -> None:
     brakes = braking_behind(behind(motorway, 20.0), 1, 1.5)
     assert brakes is not None
     assert brakes.kind == FOLLOWS
     assert brakes.profile.switch_s == 2.25
 
 
-def test_who_follows_is_the_next_one_behind_on_the_same_lane(motorway: RoadMap) -> None:
+def test_the_follower_is_the_next_vehicle_behind_on_the_same_lane(motorway: RoadMap) -> None:
     view = view_of(
         motorway,
         target=(0, 100.0, 10.0),
@@ -59,10 +59,10 @@ def test_who_follows_is_the_next_one_behind_on_the_same_lane(motorway: RoadMap) 
     assert view_of(motorway, target=(0, 100.0, 10.0), leader=(0, 120.0, 10.0)).follower is None
 
 
-def test_it_is_its_own_driver_again_where_the_target_brakes_sooner(motorway: RoadMap) -> None:
-    """10 m apart at 10 m/s: braking at once with 4 m/s² is enough if the target keeps its speed.
+def test_sumo_drives_the_follower_again_if_the_target_brakes_sooner(motorway: RoadMap) -> None:
+    """Both drive at 10 m/s, 2 m apart. Braking at once with 4 m/s² is enough if the target keeps its speed.
 
-    Had the target slowed by 3 m/s in the last half second, it would stand in 8.3 m, and the other not in 12.5 m.
+    A target that slowed by 3 m/s in the last half second stops in 8.3 m, the follower only in 12.5 m.
     """
     view = behind(motorway, 2.0)
     brakes = Manoeuvre(FOLLOWS, 1, view.ways[1], SpeedProfile(then_mps2=-4.0))
@@ -72,7 +72,7 @@ def test_it_is_its_own_driver_again_where_the_target_brakes_sooner(motorway: Roa
 
 
 def advanced(road: RoadMap, gap_m: float) -> tuple[list[Manoeuvre], Commitments]:
-    """Return what is driven at 3 s behind a leader 22 m ahead, with somebody *gap_m* behind."""
+    """Return the manoeuvres and the memory at 3 s, with a leader 12 m ahead and a follower *gap_m* behind."""
     cars = {"leader": (0, 80.0 + LENGTH_M + 12.0, 10.0), "follower": (0, 80.0 - LENGTH_M - gap_m, 10.0)}
     kept = Commitments.start("hard-stop", np.random.default_rng(0))
     for time_s in (0.0, 3.0):
@@ -81,7 +81,7 @@ def advanced(road: RoadMap, gap_m: float) -> tuple[list[Manoeuvre], Commitments]
     return driven, kept
 
 
-def test_a_leader_stops_and_who_follows_brakes_too(motorway: RoadMap) -> None:
+def test_the_follower_brakes_when_the_leader_stops(motorway: RoadMap) -> None:
     driven, kept = advanced(motorway, 15.0)
     assert {m.kind: m.row for m in driven} == {"hard-stop": 1, FOLLOWS: 2}
     assert kept.attacking == ("leader",)
@@ -94,17 +94,17 @@ def test_a_leader_stops_and_who_follows_brakes_too(motorway: RoadMap) -> None:
     assert kept.active == {}
 
 
-def test_nobody_stops_before_a_target_that_is_followed_too_closely(motorway: RoadMap) -> None:
+def test_no_leader_stops_before_a_target_that_is_followed_too_closely(motorway: RoadMap) -> None:
     driven, kept = advanced(motorway, 2.0)
     assert [m for m in driven if not m.sets_up] == []
     assert kept.attacking == ()
 
 
 @pytest.mark.parametrize(("to_line_m", "brakes"), [(14.0, False), (6.0, True)])
-def test_behind_a_target_that_has_to_yield_it_brakes_once_that_would_have_to(
+def test_the_follower_brakes_once_a_yielding_target_must_brake(
     downtown: RoadMap, to_line_m: float, brakes: bool
 ) -> None:
-    """A target 14 m before the line, at 8 m/s, is where they meet in 3.75 s, one 6 m before it in under 3 s."""
+    """At 8 m/s, a target 14 m before the line is at the conflict point in 3.75 s, one 6 m before it in under 3 s."""
     link = next(
         link
         for lane in downtown.lanes.values()

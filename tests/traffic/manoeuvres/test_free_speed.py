@@ -1,4 +1,4 @@
-"""How fast somebody gets along its way: limits and bends of a motorway and of junctions, worked out by hand."""
+"""Speed without other road users: limits and bends of a motorway and of junctions, worked out by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
 def test_on_a_free_straight_the_speed_grows_by_half_a_metre_per_second_squared(motorway: RoadMap) -> None:
-    """From 20 m/s: 23 m/s and 129 m after 6 s; 60 m take 20 t + t²/4 = 60, t = 2.9 s."""
+    """From 20 m/s it reaches 23 m/s and 129 m after 6 s. For 60 m, 20 t + t²/4 = 60, so t = 2.9 s."""
     target = view_of(motorway, target=(0, 50.0, 20.0)).target
     assert target is not None
     assert speeds_along(target.way, 20.0)[-1] == pytest.approx(23.0)
@@ -32,7 +32,7 @@ def test_a_speed_above_the_limit_is_kept(motorway: RoadMap) -> None:
     assert speeds_along(target.way, 60.0)[:20] == pytest.approx(np.full(20, 60.0))
 
 
-def test_who_brakes_stops_where_it_should(motorway: RoadMap) -> None:
+def test_braking_distance(motorway: RoadMap) -> None:
     """From 20 m/s at 8 m/s² at once: 25 m."""
     target = view_of(motorway, target=(0, 50.0, 20.0)).target
     assert target is not None
@@ -41,8 +41,8 @@ def test_who_brakes_stops_where_it_should(motorway: RoadMap) -> None:
     assert speed[0, -1] == 0.0
 
 
-def test_who_turns_slows_for_the_bend(downtown: RoadMap) -> None:
-    """A quarter turn over L metres has a radius of 2 L / π: at 2.5 m/s² it is driven at √(5 L / π)."""
+def test_a_turning_vehicle_slows_for_the_bend(downtown: RoadMap) -> None:
+    """A quarter turn over L metres has a radius of 2 L / π. At 2.5 m/s² it is driven at √(5 L / π)."""
     turns = [
         (lane, link)
         for lane in downtown.lanes.values()
@@ -67,8 +67,8 @@ def test_who_turns_slows_for_the_bend(downtown: RoadMap) -> None:
         assert target.free_speed_mps[inside].max() < slowest + 0.3
 
 
-def test_a_contact_that_needs_no_timing_is_certain(motorway: RoadMap) -> None:
-    """Somebody who stands ahead is met however late one is; somebody who passes at that very instant hardly."""
+def test_a_contact_that_does_not_depend_on_timing_has_a_share_of_one(motorway: RoadMap) -> None:
+    """A vehicle that stands ahead is always hit; one that crosses at exactly one instant rarely."""
     target = view_of(motorway, target=(0, 50.0, 20.0)).target
     assert isinstance(target, TargetWay)
     ahead, yaw = target.way.line.at(target.way.lane.s_m + 60.0)
@@ -81,8 +81,8 @@ def test_a_contact_that_needs_no_timing_is_certain(motorway: RoadMap) -> None:
     assert 0.0 < share[1] < 0.6
 
 
-def test_who_can_still_slow_for_a_bend_takes_it(downtown: RoadMap) -> None:
-    """A quarter turn over L metres takes 4 m/s² at √(8 L / π); 25 m before it, with 3 m/s², at √(8 L / π + 150)."""
+def test_whether_a_vehicle_can_slow_for_a_bend(downtown: RoadMap) -> None:
+    """A quarter turn over L metres allows √(8 L / π) at 4 m/s², and √(8 L / π + 150) 25 m before it, with 3 m/s²."""
     lane, link = next(
         (lane, link)
         for lane in downtown.lanes.values()

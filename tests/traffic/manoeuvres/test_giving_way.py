@@ -1,4 +1,4 @@
-"""Who waits for a target with the right of way, on a crossing whose street along x has priority."""
+"""Vehicles that wait for a target with the right of way, on a crossing whose street along x has priority."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def view_of(road: RoadMap, cars: Cars) -> SituationView:
 
 
 def lines_of(road: RoadMap, cars: Cars, view: SituationView | None = None) -> list[float]:
-    """Return the lines of all but the target, who keep their speed along their ways."""
+    """Return the waiting lines of all but the target; these vehicles keep their speed along their ways."""
     view = view or view_of(road, cars)
     rows = list(range(1, len(cars)))
     now = view.scene.history.rows(np.array(rows))
@@ -45,46 +45,46 @@ def lines_of(road: RoadMap, cars: Cars, view: SituationView | None = None) -> li
 
 
 TARGET = (("WC", "CE"), 30.0, 10.0)
-"""On the street, on the junction within three seconds."""
+"""It is on the priority street, and on the junction within three seconds."""
 SIDE_ROAD = ("SC", "CN")
 
 
-def test_who_comes_from_the_side_road_waits_half_a_metre_before_its_line(road: RoadMap) -> None:
+def test_a_vehicle_from_the_side_road_waits_half_a_metre_before_its_line(road: RoadMap) -> None:
     [line] = lines_of(road, {"target": TARGET, "minor": (SIDE_ROAD, 15.0, 6.0)})
     assert line == pytest.approx(15.0 - 0.5 * LENGTH_M - 0.5)
 
 
-def test_who_turns_left_waits_for_an_oncoming_target(road: RoadMap) -> None:
+def test_a_left_turn_waits_for_an_oncoming_target(road: RoadMap) -> None:
     [line] = lines_of(road, {"target": TARGET, "turns": (("EC", "CS"), 20.0, 6.0)})
     assert line == pytest.approx(20.0 - 0.5 * LENGTH_M - 0.5)
 
 
 @pytest.mark.parametrize("route", [("EC", "CW"), ("EC", "CN")])
-def test_who_need_not_give_way_goes(road: RoadMap, route: tuple[str, str]) -> None:
+def test_a_vehicle_that_need_not_yield_does_not_wait(road: RoadMap, route: tuple[str, str]) -> None:
     assert lines_of(road, {"target": TARGET, "other": (route, 15.0, 6.0)}) == [np.inf]
 
 
-def test_who_is_through_in_time_goes(road: RoadMap) -> None:
-    """It has some 20 m to go at 12 m/s; the target has 80 m at 10."""
+def test_a_vehicle_that_passes_in_time_does_not_wait(road: RoadMap) -> None:
+    """It needs about 20 m at 12 m/s; the target has 80 m at 10 m/s."""
     cars = {"target": (("WC", "CE"), 69.0, 10.0), "minor": (SIDE_ROAD, 6.0, 12.0)}
     assert lines_of(road, cars) == [np.inf]
 
 
-def test_who_cannot_stop_any_more_goes_on(road: RoadMap) -> None:
-    """12 m/s in 6 m are 12 m/s²."""
+def test_a_vehicle_that_cannot_stop_does_not_wait(road: RoadMap) -> None:
+    """From 12 m/s, 6 m require 12 m/s²."""
     assert lines_of(road, {"target": TARGET, "minor": (SIDE_ROAD, 9.0, 12.0)}) == [np.inf]
 
 
-def test_who_is_over_its_line_goes_on(road: RoadMap) -> None:
+def test_a_vehicle_over_its_line_does_not_wait(road: RoadMap) -> None:
     assert lines_of(road, {"target": TARGET, "minor": (SIDE_ROAD, 1.0, 3.0)}) == [np.inf]
 
 
-def test_a_target_that_stands_at_its_line_may_start(road: RoadMap) -> None:
+def test_vehicles_wait_for_a_target_that_stands_at_its_line(road: RoadMap) -> None:
     stands = {"target": (("WC", "CE"), 4.0, 0.0), "minor": (SIDE_ROAD, 4.0, 0.0)}
     assert lines_of(road, stands) == [pytest.approx(4.0 - 0.5 * LENGTH_M - 0.5)]
 
 
-def test_nobody_waits_for_a_target_that_waits_behind_somebody(road: RoadMap) -> None:
+def test_no_vehicle_waits_for_a_target_behind_a_standing_leader(road: RoadMap) -> None:
     cars = {
         "target": (("WC", "CE"), 14.0, 0.0),
         "leader": (("WC", "CE"), 4.0, 0.0),
@@ -93,8 +93,8 @@ def test_nobody_waits_for_a_target_that_waits_behind_somebody(road: RoadMap) -> 
     assert lines_of(road, cars)[1] == np.inf
 
 
-def test_a_target_that_stands_and_must_wait_itself_holds_up_nobody(road: RoadMap) -> None:
-    """It turns left before somebody oncoming, and the side road's car has to give way to it."""
+def test_no_vehicle_waits_for_a_standing_target_that_must_yield_itself(road: RoadMap) -> None:
+    """The target turns left across an oncoming vehicle; the car from the side road must yield to the target."""
     cars = {
         "target": (("WC", "CN"), 4.0, 0.0),
         "oncoming": (("EC", "CW"), 10.0, 8.0),
@@ -105,14 +105,14 @@ def test_a_target_that_stands_and_must_wait_itself_holds_up_nobody(road: RoadMap
     assert lines_of(road, alone) == [pytest.approx(4.0 - 0.5 * LENGTH_M - 0.5)]
 
 
-def test_where_the_net_has_no_rule_who_is_over_its_line_goes_first(tmp_path: Path) -> None:
+def test_without_a_rule_of_the_net_a_target_over_its_line_goes_first(tmp_path: Path) -> None:
     free = RoadMap.read(nets.crossing(tmp_path, "unregulated"))
     for away, waits in ((1.0, True), (6.0, False)):
         cars = {"target": (("WC", "CE"), away, 5.0), "minor": (SIDE_ROAD, 6.0, 5.0)}
         assert np.isfinite(lines_of(free, cars)).tolist() == [waits]
 
 
-def test_a_target_on_the_junction_is_let_past_and_forgotten_beyond_the_place_where_they_meet(
+def test_vehicles_wait_for_a_target_on_the_junction_until_it_is_past_the_conflict_point(
     road: RoadMap,
 ) -> None:
     link = next(x for x in road.lanes["WC_0"].successors if x.to_lane.startswith("CE"))

@@ -1,4 +1,4 @@
-"""Manoeuvres of an asked severity, worked by hand on a straight lane and driven on empty roads."""
+"""Manoeuvres of a prescribed severity, worked by hand on a straight lane and driven on empty roads."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cut_ins(view: SituationView) -> list[Manoeuvre]:
     return list(KINDS["cut-in"](view, 1))
 
 
-def test_an_asked_braking_replaces_that_of_the_manoeuvre_alone(motorway: RoadMap) -> None:
+def test_a_prescribed_braking_replaces_only_the_braking_of_an_attack(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 85.0, 20.0))
     stop, closing = (
         next(m for m in KINDS["hard-stop"](view, 1) if m.sets_up is sets_up) for sets_up in (False, True)
@@ -48,32 +48,32 @@ def test_an_asked_braking_replaces_that_of_the_manoeuvre_alone(motorway: RoadMap
     assert with_braking(crosses, 8.0) is crosses
 
 
-def test_somebody_cuts_in_where_the_gap_is_the_asked_one(motorway: RoadMap) -> None:
-    """Who keeps the target's speed leaves as much more as it is further ahead; 3 m more than asked are accepted."""
+def test_a_cut_in_matches_the_prescribed_gap(motorway: RoadMap) -> None:
+    """At the target's speed the gap grows with the distance ahead. Up to 3 m more than prescribed are accepted."""
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
     change = next(m for m in cut_ins(view) if m.goal is not None)
     spare = entry_margin_m(view, 1, 0, 0.0, LAWFUL)
     further = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 95.0, 20.0))
     assert entry_margin_m(further, 1, 0, 0.0, LAWFUL) == pytest.approx(spare + 5.0, abs=0.01)
     driven = 20.0 * CHECK_TIMES_S
-    for asked, near in ((spare - 1.0, 1.0), (spare + 1.0, 0.0), (spare - GAP_TOLERANCE_M - 1.0, 0.0)):
-        assert severity_match(view, change, driven, Intensity(spare_gap_m=asked)) == near
+    for spare_gap_m, match in ((spare - 1.0, 1.0), (spare + 1.0, 0.0), (spare - GAP_TOLERANCE_M - 1.0, 0.0)):
+        assert severity_match(view, change, driven, Intensity(spare_gap_m=spare_gap_m)) == match
     assert severity_match(view, change, driven, Intensity()) is None
 
 
-def test_who_is_asked_for_a_gap_gets_into_position_for_it_and_stops_alike(motorway: RoadMap) -> None:
+def test_a_prescribed_gap_changes_the_position_and_fixes_the_braking(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
     far, near = (list(with_severity(view, cut_ins(view), Intensity(spare_gap_m=gap))) for gap in (20.0, 0.0))
     assert [m.profile.then_mps2 for m in far if m.goal is not None] == [-AFTER_ENTRY_MPS2]
-    ahead, behind = (next(m for m in some if m.sets_up).profile.first_mps2 for some in (far, near))
+    ahead, behind = (next(m for m in adapted if m.sets_up).profile.first_mps2 for adapted in (far, near))
     assert ahead > behind
     assert list(with_severity(view, cut_ins(view), Intensity())) == cut_ins(view)
     wanted = rank(view, far, {"cut-in": 1.0}, intensity=Intensity(spare_gap_m=20.0))
     assert wanted[0].manoeuvre.sets_up
 
 
-def test_a_leader_leaves_so_long_before_it_would_reach_who_stands(motorway: RoadMap) -> None:
-    """Its front is 23.5 m, 2.35 s, behind who stands: it waits 0.85 s to leave 1.5 s before, and is late for 2.5 s."""
+def test_a_leader_leaves_at_the_prescribed_time_before_the_standing_vehicle(motorway: RoadMap) -> None:
+    """It is 23.5 m, 2.35 s, behind the standing vehicle. For 1.5 s it waits 0.85 s; for 2.5 s it is too late."""
     view = view_of(motorway, target=(0, 50.0, 10.0), leader=(0, 65.0, 10.0), broken=(0, 93.0, 0.0))
     leaves = list(KINDS["cut-out"](view, 1))
     late = list(with_severity(view, leaves, Intensity(reveals_s=1.5)))
@@ -92,7 +92,7 @@ def test_a_target_that_brakes(motorway: RoadMap) -> None:
 
 
 SEED = 5
-"""Of episodes in which who comes in is of a class that shows the defect."""
+"""Seed of episodes in which the inserted vehicle has a class that shows the defect."""
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         ("cut-out", "reveals_s", 1.5, 2.5, "speed-bias:5"),
     ],
 )
-def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(
+def test_a_defect_shows_in_a_severe_attack_and_not_in_a_mild_one(
     attack: str, option: str, severe: float, mild: float, defect: str, encounters: dict[str, Encounter]
 ) -> None:
     def drive(defects: list[str], value: float) -> dict[str, Any]:
@@ -132,20 +132,20 @@ def test_a_defect_shows_where_it_is_severe_and_not_where_it_is_mild(
     assert not passes["target_collision"]
 
 
-def test_how_long_before_the_target_somebody_crosses(encounters: dict[str, Encounter]) -> None:
-    """Twins on arms of one length, 11 m/s both: who is 11 m further on is 1 s earlier."""
+def test_how_long_before_the_target_a_vehicle_crosses(encounters: dict[str, Encounter]) -> None:
+    """Both drive at 11 m/s on arms of equal length. 11 m further on is 1 s earlier."""
     road = encounters["crossing"].road
     north = over(road, "south_in", "north_out")
     east = over(road, "west_in", "east_out")
 
-    def before_s(ahead_m: float) -> float | None:
+    def lead_s(ahead_m: float) -> float | None:
         other = Scripted(east, 262.0 + ahead_m, 11.0)
         seed = Encounter(road, Scripted(north, 262.0, 11.0), ("south_in", "north_out"), (other,)).scene()
         routes = (("south_in", "north_out"), ("west_in", "east_out"))
         scene = Scene(seed.history, 0, np.array([False, True]), routes, {})
         return arrival_lead_s(SituationView.of(road, scene), 1, 11.0 * CHECK_TIMES_S)
 
-    level, earlier = before_s(0.0), before_s(11.0)
+    level, earlier = lead_s(0.0), lead_s(11.0)
     assert level is not None
     assert earlier is not None
     assert earlier - level == pytest.approx(1.0, abs=0.05)

@@ -1,4 +1,4 @@
-"""Three lanes, the outermost of which leaves: who has to change from it is left room on the lane that goes on."""
+"""Of three lanes the outermost leaves the road: a target that must change from it is left room on the next lane."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TARGET_MPS, OTHER_MPS = 20.0, 12.0
 
 @pytest.fixture(scope="module")
 def roads(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, RoadMap]:
-    """Return the net where one drives on the right (False) and its mirror image (True)."""
+    """Return the net for right-hand traffic (False) and its mirror image (True)."""
     return {left: _road(tmp_path_factory.mktemp("exit"), left) for left in (False, True)}
 
 
@@ -40,9 +40,9 @@ def _road(folder: Path, left: bool) -> RoadMap:
 def refused(
     road: RoadMap, route: tuple[str, ...], lane: int, ahead_m: float, sideways_m: float
 ) -> tuple[int, ...]:
-    """Return who is refused: the other, *ahead_m* of a target on the outermost lane, moves *sideways_m* in 2.5 s."""
-    at = {"target": (0, 110.0, TARGET_MPS), "other": (lane, 110.0 + ahead_m, OTHER_MPS)}
-    scene = scene_on({name: (road.lanes[f"WM_{k}"], s, v) for name, (k, s, v) in at.items()})
+    """Return the refused rows; the other, *ahead_m* of a target on the outermost lane, moves *sideways_m* in 2.5 s."""
+    cars = {"target": (0, 110.0, TARGET_MPS), "other": (lane, 110.0 + ahead_m, OTHER_MPS)}
+    scene = scene_on({name: (road.lanes[f"WM_{k}"], s, v) for name, (k, s, v) in cars.items()})
     scene = replace(scene, routes=(route, THROUGH))
     view = look(road, scene, np.zeros(2, dtype=np.bool_))
     time_s = MODEL_STEP_S * np.arange(FUTURE_STEPS + 1)
@@ -57,17 +57,17 @@ def refused(
 
 
 @pytest.mark.parametrize("left", [False, True])
-def test_who_cuts_off_a_target_that_has_to_change_lanes_is_refused(
+def test_a_plan_that_cuts_off_a_target_that_must_change_lanes_is_refused(
     roads: dict[bool, RoadMap], left: bool
 ) -> None:
-    """8 m ahead, 8 m/s slower, and into the same lane: after 0.75 s a target on it would be 2 m behind."""
+    """It is 8 m ahead, 8 m/s slower, and enters the same lane. After 0.75 s a target there would be 2 m behind."""
     moves = 3.2 if left else -3.2
     assert refused(roads[left], THROUGH, 2, 12.5, moves) == (1,)
-    assert refused(roads[left], OFF, 2, 12.5, moves) == ()  # stays on its lane
+    assert refused(roads[left], OFF, 2, 12.5, moves) == ()  # the target stays on its lane
 
 
 @pytest.mark.parametrize(("lane", "ahead_m", "sideways_m"), [(2, 60.0, -3.2), (2, 12.5, 0.0), (1, 12.5, 0.0)])
-def test_who_leaves_room_keeps_its_lane_or_was_there_first_is_not(
+def test_a_plan_that_leaves_room_or_keeps_its_lane_is_allowed(
     roads: dict[bool, RoadMap], lane: int, ahead_m: float, sideways_m: float
 ) -> None:
     assert refused(roads[False], THROUGH, lane, ahead_m, sideways_m) == ()

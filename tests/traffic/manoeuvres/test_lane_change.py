@@ -1,4 +1,4 @@
-"""Changes of lanes that are planned anew each half second: they go on, and take as long as the first plan says."""
+"""Lane changes that are planned anew each half second: they continue, and take as long as the first plan says."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SPEED_MPS, PLANS = 20.0, 12
 
 
 def test_half_of_a_change_by_hand() -> None:
-    """3 m in 3 s from rest: half way after 1.5 s, there at one and a half times the mean speed, at the end at rest."""
+    """3 m in 3 s from rest: half of it is left after 1.5 s, at 1.5 of the mean speed, and the end is at rest."""
     share = np.array([0.0, 0.5, 1.0, 2.0])
     np.testing.assert_allclose(settling_offsets_m(3.0, 0.0, 3.0 * share, 3.0), [3.0, 1.5, 0.0, 0.0])
     np.testing.assert_allclose(settling_offsets_m(1.5, -1.5, 1.5 * share, 1.5), [1.5, 0.46875, 0.0, 0.0])
@@ -50,18 +50,19 @@ def test_the_rest_of_a_change_is_what_was_planned(
 
 
 def next_scene(scene: Scene, xy_m: FloatArray, yaw_rad: FloatArray) -> Scene:
-    """Return *scene* half a second later: the target goes straight on, the other is where it planned to be."""
-    now = scene.history
-    stride = PLAN_DT_S * now.speed_mps[0, -1]
-    target = now.xy_m[0, -1] + stride * np.array([np.cos(now.yaw_rad[0, -1]), np.sin(now.yaw_rad[0, -1])])
-    xy = np.concatenate((now.xy_m[:, 1:], np.stack((target, xy_m))[:, None]), axis=1)
-    yaw = np.concatenate((now.yaw_rad[:, 1:], np.array([now.yaw_rad[0, -1], yaw_rad])[:, None]), axis=1)
-    later: Tracks = replace(now, xy_m=xy, yaw_rad=yaw, t0_s=now.t0_s + PLAN_DT_S)
+    """Return *scene* half a second later: the target drives straight on, the other is at this pose."""
+    history = scene.history
+    target_yaw = history.yaw_rad[0, -1]
+    stride = PLAN_DT_S * history.speed_mps[0, -1]
+    target = history.xy_m[0, -1] + stride * np.array([np.cos(target_yaw), np.sin(target_yaw)])
+    xy = np.concatenate((history.xy_m[:, 1:], np.stack((target, xy_m))[:, None]), axis=1)
+    yaw = np.concatenate((history.yaw_rad[:, 1:], np.array([target_yaw, yaw_rad])[:, None]), axis=1)
+    later: Tracks = replace(history, xy_m=xy, yaw_rad=yaw, t0_s=history.t0_s + PLAN_DT_S)
     return replace(scene, history=later)
 
 
 def driven(view: SituationView) -> tuple[list[float], list[float], list[float]]:
-    """Return how far the other is beside the target's line after each plan, where it faces, when it says it enters."""
+    """Return for each plan the other's offset from the target's line, its heading off it, and when it will enter."""
     beside, facing, enters = [], [], []
     target = view.target
     assert target is not None
@@ -79,32 +80,32 @@ def driven(view: SituationView) -> tuple[list[float], list[float], list[float]]:
     return beside, facing, enters
 
 
-def test_a_change_carried_out_in_plans_takes_what_the_first_one_says(motorway: RoadMap) -> None:
+def test_a_change_over_many_plans_takes_as_long_as_the_first_plan_says(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
     across = abs(view.on_target_way[1][1])
     beside, facing, enters = driven(view)
     assert all(after <= before for before, after in pairwise(beside))
-    there = PLAN_DT_S * (1 + next(k for k, left in enumerate(beside) if left < 0.3))
-    assert there == pytest.approx(across / LATERAL_MPS, abs=PLAN_DT_S)
+    duration_s = PLAN_DT_S * (1 + next(k for k, left in enumerate(beside) if left < 0.3))
+    assert duration_s == pytest.approx(across / LATERAL_MPS, abs=PLAN_DT_S)
     steepest = 1.5 * LATERAL_MPS / SPEED_MPS
     assert 0.8 * steepest < max(facing) < 1.2 * steepest
     assert max(facing[-3:]) < 0.02  # the lane bends by as much
-    begun = [now for now in enters if now > 0.0]
-    assert len(begun) == pytest.approx(begun[0] / PLAN_DT_S, abs=1.0)  # each plan says half a second less
-    for before, after in pairwise(begun):
+    pending = [time_s for time_s in enters if time_s > 0.0]
+    assert len(pending) == pytest.approx(pending[0] / PLAN_DT_S, abs=1.0)  # half a second less in each plan
+    for before, after in pairwise(pending):
         assert before - after == pytest.approx(PLAN_DT_S, abs=0.25)
 
 
-def test_who_stands_still_sideways_has_no_drift(motorway: RoadMap) -> None:
+def test_a_vehicle_that_follows_its_lane_has_no_drift(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0, SPEED_MPS))
     assert view.ways[1].drift_mps == pytest.approx(0.0, abs=0.05)
 
 
-def test_drift_is_told_by_places_on_the_lane_alone(motorway: RoadMap) -> None:
+def test_only_positions_on_the_lane_tell_the_drift(motorway: RoadMap) -> None:
     way = view_of(motorway, target=(0, 50.0, SPEED_MPS)).ways[0]
-    places = np.array([20.0, 25.0, 30.0])
+    s = np.array([20.0, 25.0, 30.0])
     left = np.array([1.6, 0.9, 0.4])  # 0.7 m, then 0.5 m: at 0.8 m/s now
-    past = way.line.at(places, left)[0]
+    past = way.line.at(s, left)[0]
     assert way.with_drift(past, 0.5).drift_mps == pytest.approx((3 * 0.4 - 4 * 0.9 + 1.6) / 1.0)
     assert way.with_drift(past[1:], 0.5).drift_mps == pytest.approx(-1.0)
     assert way.with_drift(past[2:], 0.5).drift_mps == 0.0
@@ -113,31 +114,29 @@ def test_drift_is_told_by_places_on_the_lane_alone(motorway: RoadMap) -> None:
     assert way.with_drift(np.full((3, 2), np.nan), 0.5).drift_mps == 0.0
 
 
-def test_a_lane_change_asks_something_once_it_slows(motorway: RoadMap) -> None:
-    """3.5 m at 1.1 m/s: it enters after 1.2 s; to slow later than that is asked later, to slow before is not."""
+def test_a_lane_change_is_perceived_once_it_slows(motorway: RoadMap) -> None:
+    """3.5 m at 1.1 m/s: entry after 1.2 s. Later braking is perceived later, earlier braking not before the entry."""
     view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
     xy = view.scene.history.xy_m[1, -1]
     change = next(m for m in KINDS["cut-in"](view, 1) if m.goal is not None)
     enters = change.enters_s(xy)
     assert enters == pytest.approx(1.2, abs=0.1)
-    for profile, asks in (
+    for profile, perceived_s in (
         (SpeedProfile(), enters),
         (SpeedProfile(switch_s=2.0, then_mps2=-5.0), 2.0),
         (SpeedProfile(switch_s=0.5, then_mps2=-5.0), enters),
         (SpeedProfile(first_mps2=-2.0, switch_s=2.0, then_mps2=-5.0), enters),
     ):
-        assert replace(change, profile=profile).perceivable_s(xy) == asks
-    assert (
-        replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0)).perceivable_s(xy)
-        == 0.0
-    )
+        assert replace(change, profile=profile).perceivable_s(xy) == perceived_s
+    keeps_lane = replace(change, goal=None, profile=SpeedProfile(switch_s=2.0, then_mps2=-5.0))
+    assert keeps_lane.perceivable_s(xy) == 0.0
 
 
-def test_who_cuts_in_slows_once_its_box_is_in_the_lane(motorway: RoadMap) -> None:
+def test_a_cut_in_brakes_once_its_box_is_in_the_lane(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(1, 80.0 + LENGTH_M, SPEED_MPS))
-    slows = [m for m in KINDS["cut-in"](view, 1) if m.goal is not None and m.profile.then_mps2 < 0.0]
-    assert len(slows) == len(AFTER_CUT_IN_MPS2)
-    for change in slows:
+    cut_ins = [m for m in KINDS["cut-in"](view, 1) if m.goal is not None and m.profile.then_mps2 < 0.0]
+    assert len(cut_ins) == len(AFTER_CUT_IN_MPS2)
+    for change in cut_ins:
         assert change.goal is not None
         across = float(change.goal.line.project(view.scene.history.xy_m[1, -1])[1])
         left = abs(float(change.goal_offsets_m(across, np.array([change.profile.switch_s]))[0]))
@@ -145,7 +144,7 @@ def test_who_cuts_in_slows_once_its_box_is_in_the_lane(motorway: RoadMap) -> Non
 
 
 @pytest.mark.parametrize(("agent_class", "hardest_mps2"), [(AgentClass.CAR, 8.5), (AgentClass.TRUCK, 7.0)])
-def test_lorries_brake_no_harder_than_they_can(
+def test_lorries_brake_no_harder_than_possible(
     motorway: RoadMap, agent_class: AgentClass, hardest_mps2: float
 ) -> None:
     view = view_of(motorway, target=(0, 50.0, SPEED_MPS), other=(0, 90.0, SPEED_MPS))
@@ -157,8 +156,8 @@ def test_lorries_brake_no_harder_than_they_can(
     assert len(set(stops)) == len(stops)
 
 
-def test_who_stands_askew_in_a_change_is_expected_to_stay_so(motorway: RoadMap) -> None:
-    """Who drives goes on onto its lane."""
+def test_a_vehicle_that_stands_within_a_lane_change_keeps_its_pose(motorway: RoadMap) -> None:
+    """A moving one continues onto its lane."""
     view = view_of(motorway, target=(0, 100.0, 20.0), stands=(0, 130.0, 0.0), drives=(0, 160.0, 10.0))
     history = view.scene.history
     xy_m, yaw_rad = history.xy_m.copy(), history.yaw_rad + np.array([[0.0], [0.6], [0.0]])

@@ -1,4 +1,4 @@
-"""What a licence makes of guided plans: who rams is refused, lawful manoeuvres are added."""
+"""What a licence makes of guided plans: plans that ram the target are refused, lawful manoeuvres are added."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ __all__ = ["downtown", "street"]
 
 
 def futures_of_scene(scene: Scene) -> Futures:
-    now = scene.history
+    history = scene.history
     return coasting(
-        now.xy_m[:, -1],
-        now.yaw_rad[:, -1],
-        now.speed_mps[:, -1],
-        now.size_m,
+        history.xy_m[:, -1],
+        history.yaw_rad[:, -1],
+        history.speed_mps[:, -1],
+        history.size_m,
         FUTURE_STEPS,
         MODEL_STEP_S,
     )
@@ -51,7 +51,7 @@ def attack_of(
 
 
 @pytest.mark.parametrize(("licence", "refused"), [("lawful", (1,)), ("careless", (1,)), ("reckless", ())])
-def test_who_would_ram_is_refused(
+def test_a_plan_that_rams_the_target_is_refused(
     downtown: RoadMap, street: Callable[..., Scene], licence: str, refused: tuple[int, ...]
 ) -> None:
     scene = street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0])
@@ -60,24 +60,22 @@ def test_who_would_ram_is_refused(
     assert attack.exempt is (licence == "reckless")
 
 
-def test_a_short_plan_is_held_to_the_law_beyond_its_end(
-    downtown: RoadMap, street: Callable[..., Scene]
-) -> None:
-    """20 m behind and 8 m/s faster: contact after 2 s, a second after the plan's end."""
+def test_a_short_plan_is_judged_beyond_its_end(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+    """It is 20 m behind and 8 m/s faster: contact after 2 s, a second after the plan's end."""
     scene = street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0])
     assert attack_of(downtown, scene, "lawful", steps=2).refused == (1,)
 
 
-def test_who_harms_nobody_is_left_alone(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+def test_a_harmless_plan_is_left_unchanged(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     scene = street([(40.0, 0.0), (80.0, 0.0)], [8.0, 9.0])
     assert attack_of(downtown, scene, "lawful").refused == ()
 
 
 @pytest.mark.parametrize("licence", ["lawful", "careless"])
-def test_who_is_guided_follows_its_lane_while_the_target_is_on_none(
+def test_guided_vehicles_follow_their_lanes_while_the_target_is_on_none(
     downtown: RoadMap, street: Callable[..., Scene], licence: str
 ) -> None:
-    """The one who harms nobody above; nobody knows which way a target 60 m off its lane goes on."""
+    """The plan is the harmless one above, but the way of a target 60 m off its lane is unknown."""
     scene = street([(40.0, 60.0), (80.0, 0.0)], [8.0, 9.0])
     assert SituationView.of(downtown, scene).target is None
     assert attack_of(downtown, scene, licence).refused == (1,)
@@ -96,8 +94,10 @@ def test_a_lawful_manoeuvre_is_driven_beside_guided_plans(
     assert attack.driven[1][2][-1] == 0.0
 
 
-def test_who_gets_no_plan_begins_no_manoeuvre(downtown: RoadMap, street: Callable[..., Scene]) -> None:
-    """The leader above, about to leave the net."""
+def test_a_vehicle_that_gets_no_plan_begins_no_manoeuvre(
+    downtown: RoadMap, street: Callable[..., Scene]
+) -> None:
+    """It is the leader above, about to leave the net."""
     scene = street([(30.0, 0.0), (52.0, 0.0)], [12.0, 12.0])
     scene = replace(scene, history=replace(scene.history, t0_s=scene.history.t0_s + 3.0 - scene.time_s))
     kept = replace(Commitments.start("hard-stop", np.random.default_rng(0)), since_s={"v1": 0.0})
@@ -108,7 +108,7 @@ def test_who_gets_no_plan_begins_no_manoeuvre(downtown: RoadMap, street: Callabl
 @pytest.mark.parametrize(
     ("speed_mps", "rests_until_s", "refused"), [(3.0, 60.0, (1,)), (3.0, 0.0, ()), (8.0, 60.0, ())]
 )
-def test_who_sets_off_after_a_manoeuvre_follows_its_lane(
+def test_a_vehicle_that_sets_off_after_a_manoeuvre_follows_its_lane(
     downtown: RoadMap,
     street: Callable[..., Scene],
     speed_mps: float,
@@ -121,13 +121,13 @@ def test_who_sets_off_after_a_manoeuvre_follows_its_lane(
     assert attack_of(downtown, scene, "lawful", kept).refused == refused
 
 
-def test_reckless_is_the_paper(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+def test_reckless_is_as_in_the_paper(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     assert attack_of(downtown, street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0]), "reckless") is RECKLESS
 
 
 @pytest.mark.parametrize(
     ("licence", "attack", "other"), [("lawful", "rear-end", "reckless"), ("reckless", "cut-out", "lawful")]
 )
-def test_an_attack_that_the_licence_has_not_is_refused(licence: str, attack: str, other: str) -> None:
+def test_an_attack_that_the_licence_does_not_have_is_refused(licence: str, attack: str, other: str) -> None:
     with pytest.raises(ConfigError, match=f"attack = '{attack}' is none of licence = '{licence}'.*'{other}'"):
         make_policy("diffusion", {"licence": licence, "attack": attack})

@@ -1,4 +1,4 @@
-"""Crossings by who comes from ahead alone: who comes in, who begins, and how fast who turns."""
+"""Crossings only by oncoming vehicles: which are inserted, which begin, and how fast they turn."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def before(road: RoadMap, route: tuple[str, str], *others: tuple[tuple[str, str]
     """Return the target 33 m before the junction at 11 m/s, and *others*: (route, speed) 18 m before it."""
     cars = [
         Scripted(over(road, *way), road.lanes[f"{way[0]}_0"].length_m - away, speed)
-        for way, speed, away in ((route, 11.0, 33.0), *((*one, 18.0) for one in others))
+        for way, speed, away in ((route, 11.0, 33.0), *((*other, 18.0) for other in others))
     ]
     seed = Encounter(road, cars[0], route, tuple(cars[1:])).scene()
     routes = (route, *(way for way, _ in others))
@@ -48,25 +48,25 @@ def before(road: RoadMap, route: tuple[str, str], *others: tuple[tuple[str, str]
     return SituationView.of(road, Scene(seed.history, 0, movable, routes, {}))
 
 
-def test_who_turns_left_meets_oncoming_traffic_alone(sign: RoadMap) -> None:
-    """From the west to the north: the east goes first, and the south and the north have to wait themselves."""
-    met = list(priority_approaches(before(sign, LEFT), True, None, True))
-    assert met
-    assert {one.way.present_lane.id for one in met} == {"east_in_0"}
-    assert {one.way.links[0][1].direction for one in met} == {"s"}
+def test_a_target_that_turns_left_meets_only_oncoming_traffic(sign: RoadMap) -> None:
+    """It turns from the west to the north. The east has priority; the south and the north must wait themselves."""
+    approaches = list(priority_approaches(before(sign, LEFT), True, None, True))
+    assert approaches
+    assert {approach.way.present_lane.id for approach in approaches} == {"east_in_0"}
+    assert {approach.way.links[0][1].direction for approach in approaches} == {"s"}
 
 
-def test_where_traffic_keeps_left_who_turns_right_meets_it(folder: Path) -> None:
+def test_in_left_hand_traffic_a_right_turn_meets_oncoming_traffic(folder: Path) -> None:
     nodes, edges = CROSSING[0].format(kind="priority"), CROSSING[1]
     road = RoadMap.read(build(folder, nodes, edges, name="left", lefthand=True))
-    met = list(priority_approaches(before(road, ("west_in", "south_out")), True, None, True))
-    assert {one.way.present_lane.id for one in met} == {"east_in_0"}
+    approaches = list(priority_approaches(before(road, ("west_in", "south_out")), True, None, True))
+    assert {approach.way.present_lane.id for approach in approaches} == {"east_in_0"}
     assert not list(priority_approaches(before(road, LEFT), True, None, True))
 
 
 @pytest.mark.parametrize("route", [NORTH, STRAIGHT])
-def test_nobody_comes_from_ahead_who_has_no_priority(route: tuple[str, str], sign: RoadMap) -> None:
-    """From the south those of the main road come from the sides; on it, who would turn across it has to wait."""
+def test_no_oncoming_vehicle_without_priority(route: tuple[str, str], sign: RoadMap) -> None:
+    """From the south the main road is to the sides. On it, oncoming vehicles that turn across must wait."""
     view = before(sign, route)
     assert bool(list(priority_approaches(view, True))) == (route == NORTH)
     assert not list(priority_approaches(view, True, None, True))
@@ -74,18 +74,18 @@ def test_nobody_comes_from_ahead_who_has_no_priority(route: tuple[str, str], sig
     assert let_in(view, kept)[0] == ()
 
 
-def test_who_turns_on_a_bending_main_road_is_as_slow_as_the_bend(bend: RoadMap) -> None:
-    """A quarter turn of 14.2 m has a radius of 9 m: 2.5 m/s² sideways allow 4.75 m/s, a little more between corners."""
-    met = list(priority_approaches(before(bend, STRAIGHT), True, None, True))
-    assert {one.way.links[0][1].direction for one in met} == {"l"}
-    link = met[0].way.links[0][1]
+def test_vehicles_on_a_bending_main_road_are_as_slow_as_the_bend(bend: RoadMap) -> None:
+    """A quarter turn of 14.2 m has a radius of 9 m: 2.5 m/s² allow 4.75 m/s, a little more between the corners."""
+    approaches = list(priority_approaches(before(bend, STRAIGHT), True, None, True))
+    assert {approach.way.links[0][1].direction for approach in approaches} == {"l"}
+    link = approaches[0].way.links[0][1]
     assert turn_speed_mps(bend, link) == pytest.approx(4.75, abs=0.6)
-    assert max(one.speed_mps for one in met) <= turn_speed_mps(bend, link)
+    assert max(approach.speed_mps for approach in approaches) <= turn_speed_mps(bend, link)
     straight = next(x for x in bend.lanes["east_in_0"].successors if x.direction == "s")
     assert turn_speed_mps(bend, straight) == pytest.approx(13.89)
 
 
-def test_only_who_comes_from_ahead_begins(sign: RoadMap) -> None:
+def test_only_oncoming_vehicles_begin(sign: RoadMap) -> None:
     ahead = before(sign, LEFT, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](ahead, 1))
     assert crossings
@@ -98,14 +98,16 @@ def test_only_who_comes_from_ahead_begins(sign: RoadMap) -> None:
 
 
 @pytest.mark.parametrize(("speed_mps", "begins"), [(5.0, True), (11.0, False)])
-def test_nobody_begins_to_turn_faster_than_its_bend(speed_mps: float, begins: bool, bend: RoadMap) -> None:
+def test_no_vehicle_begins_to_turn_too_fast_for_its_bend(
+    speed_mps: float, begins: bool, bend: RoadMap
+) -> None:
     view = before(bend, STRAIGHT, (("east_in", "south_out"), speed_mps))
     timed = list(filter_oncoming(view, KINDS["crossing"](view, 1), only_oncoming=True))
     assert bool(timed) == begins
-    assert all(one.profile.highest_mps < 6.0 for one in timed)
+    assert all(m.profile.highest_mps < 6.0 for m in timed)
 
 
-def test_it_is_called_a_crossing_in_records() -> None:
+def test_records_call_it_a_crossing() -> None:
     kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
     assert tuple(kept.weights) == ("crossing",)
     assert kept.stage.only_oncoming

@@ -1,4 +1,4 @@
-"""Who comes in beside the target's lane to enter it slowly: where, what it is, and where nobody may."""
+"""Vehicles that are inserted beside the target's lane for slow entries: where, of which class, and where not."""
 
 from __future__ import annotations
 
@@ -24,64 +24,67 @@ from tests.traffic.manoeuvres.scenes import long_lane, scene_on, view_of
 STAGE = StagingMemory(most=6, classes=(AgentClass.TRUCK,))
 
 
-def who_comes(view: SituationView, kind: str, stage: StagingMemory = STAGE) -> tuple[Newcomer, ...]:
+def inserted(view: SituationView, kind: str, stage: StagingMemory = STAGE) -> tuple[Newcomer, ...]:
     return insert_slow_vehicle(view, stage, StandingTraffic(), kind)[0].members
 
 
-def place(road: RoadMap, one: Newcomer) -> tuple[str, float]:
-    """Return the lane of *one*, and how far it is ahead of a target 50 m along the long lane."""
-    return one.way.present_lane.id, float(long_lane(road).line.project(one.xy_m)[0]) - 50.0
+def place(road: RoadMap, vehicle: Newcomer) -> tuple[str, float]:
+    """Return the lane of *vehicle*, and how far it is ahead of a target 50 m along the long lane."""
+    return vehicle.way.present_lane.id, float(long_lane(road).line.project(vehicle.xy_m)[0]) - 50.0
 
 
-def test_somebody_crawls_where_it_may_soon_enter(motorway: RoadMap) -> None:
-    """9 m/s, 10.7 by 3.5 s: a quarter is 2.7, and 1.1 (0.75 · 11.2 + (11.2² - 2.7²) / 12) + 1 m the lawful gap, 21 m.
+def test_a_vehicle_crawls_where_it_may_soon_enter(motorway: RoadMap) -> None:
+    """The target reaches 10.7 m/s in 3.5 s, of which a quarter is 2.7 m/s.
 
-    A second at 8.0 m/s before that, 3.5 s until then, and half of a lorry and of the target: 64 m.
+    The lawful gap is 1.1 (0.75 · 11.2 + (11.2² - 2.7²) / 12) + 1 m, 21 m. With a second at 8.0 m/s before the entry,
+    3.5 s until it begins, and half the lengths of a lorry and of the target it is 64 m.
     """
     view = view_of(motorway, target=(0, 50.0, 9.0))
-    (one,) = who_comes(view, "slow-merge")
-    lane, ahead = place(motorway, one)
+    (vehicle,) = inserted(view, "slow-merge")
+    lane, ahead = place(motorway, vehicle)
     assert lane == long_lane(motorway).left_id
-    assert one.speed_mps == pytest.approx(0.25 * 10.75, abs=0.05)
+    assert vehicle.speed_mps == pytest.approx(0.25 * 10.75, abs=0.05)
     assert ahead == pytest.approx(64.0, abs=1.0)
-    assert one.agent_class is AgentClass.TRUCK
-    assert one.route == view.scene.routes[0]
+    assert vehicle.agent_class is AgentClass.TRUCK
+    assert vehicle.route == view.scene.routes[0]
 
 
-def test_ahead_of_a_fast_target_it_is_less_slow(motorway: RoadMap) -> None:
+def test_ahead_of_a_fast_target_the_vehicle_is_faster(motorway: RoadMap) -> None:
     shares = []
     for speed in (9.0, 14.0, 18.0):
-        (one,) = who_comes(view_of(motorway, target=(0, 50.0, speed)), "slow-merge")
-        shares.append(one.speed_mps / (speed + 1.75))
+        (vehicle,) = inserted(view_of(motorway, target=(0, 50.0, speed)), "slow-merge")
+        shares.append(vehicle.speed_mps / (speed + 1.75))
     assert shares == pytest.approx([0.25, 0.25, 0.55])
-    assert not who_comes(view_of(motorway, target=(0, 50.0, 30.0)), "slow-merge")
+    assert not inserted(view_of(motorway, target=(0, 50.0, 30.0)), "slow-merge")
 
 
 def test_a_bus_stands_at_the_kerb_first(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(1, 50.0, 9.0))
     standing, stage = insert_slow_vehicle(view, STAGE, StandingTraffic(), "pull-out")
-    (one,) = standing.members
-    assert (one.agent_class, one.speed_mps, one.name) == (AgentClass.BUS, 0.0, "staged-0")
-    assert one.size_of(one.agent_class) == (12.0, 2.5)
-    lane, ahead = place(motorway, one)
+    (bus,) = standing.members
+    assert (bus.agent_class, bus.speed_mps, bus.name) == (AgentClass.BUS, 0.0, "staged-0")
+    assert bus.size_of(bus.agent_class) == (12.0, 2.5)
+    lane, ahead = place(motorway, bus)
     assert lane == long_lane(motorway).id
     assert 36.0 < ahead < 110.0
     assert stage.count == 1
-    (second,) = who_comes(view, "pull-out", stage)
+    (second,) = inserted(view, "pull-out", stage)
     assert second.agent_class is AgentClass.TRUCK
-    assert not who_comes(view_of(motorway, target=(0, 50.0, 9.0)), "pull-out")  # it drives at the kerb itself
+    assert not inserted(
+        view_of(motorway, target=(0, 50.0, 9.0)), "pull-out"
+    )  # the target drives at the kerb itself
 
 
 def kerb_lanes(road: RoadMap) -> tuple[Lane, Lane]:
-    """Return the outermost lane of the longest edge with two, and the one beside it."""
+    """Return the outermost lane of the longest edge with two lanes, and the one beside it."""
     edges = [edge for edge in road.edges.values() if len(edge.lane_ids) > 1 and not edge.is_internal]
     lanes = [road.lanes[name] for name in max(edges, key=lambda edge: edge.length_m).lane_ids]
     return lanes[0], lanes[1]
 
 
 @pytest.mark.parametrize("net", ["downtown", "downtown-left"])
-def test_who_stands_at_the_kerb_is_on_the_side_that_people_drive_on(net: str, networks: object) -> None:
-    """40 m ahead of a target at 8 m/s; seen from the kerb's lane itself, who stands is on the wrong side."""
+def test_the_kerb_is_on_the_side_of_the_traffic(net: str, networks: object) -> None:
+    """A bus stands 40 m ahead of a target at 8 m/s. Seen from the outermost lane it is on the wrong side."""
     road = RoadMap.read(f"{networks}/{net}.net.xml")
     outer, inner = kerb_lanes(road)
     assert (outer.right_id if net == "downtown" else outer.left_id) is None
@@ -101,26 +104,26 @@ def test_who_stands_at_the_kerb_is_on_the_side_that_people_drive_on(net: str, ne
         ({}, replace(STAGE, count=6)),
     ],
 )
-def test_nobody_comes_in(
+def test_no_vehicle_is_inserted(
     cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
 ) -> None:
-    """The target has a leader; somebody would have to brake behind who crawls; nobody may; all have."""
+    """The target has a leader; a vehicle behind would have to brake; none may be inserted; all have been."""
     view = view_of(motorway, target=(0, 50.0, 9.0), **cars)
-    assert not who_comes(view, "slow-merge", stage)
+    assert not inserted(view, "slow-merge", stage)
     slow = view_of(motorway, target=(0, 50.0, 5.0))
     assert not can_insert_slow_vehicle(slow, "slow-merge")
 
 
-def test_who_has_begun_stands_for_it_no_longer(motorway: RoadMap) -> None:
-    """A bus that stood 40 m ahead sets off, at 10 m/s, and is driven by its manoeuvre from then on."""
+def test_a_vehicle_that_pulls_out_no_longer_counts_as_standing(motorway: RoadMap) -> None:
+    """A bus that stood 46 m ahead of a target at 10 m/s sets off. From then on its manoeuvre drives it."""
     stands = {"target": (1, 50.0, 10.0), "staged-0": (0, 50.0 + 46.0, 0.0)}
     right = long_lane(motorway)
     lanes = [motorway.lanes[name] for name in motorway.edges[right.edge_id].lane_ids]
     scene = scene_on({name: (lanes[k], s, v) for name, (k, s, v) in stands.items()}, time_s=4.0)
     view = SituationView.of(motorway, scene)
-    (one,) = who_comes(view_of(motorway, target=(1, 50.0, 10.0)), "pull-out")
+    (bus,) = inserted(view_of(motorway, target=(1, 50.0, 10.0)), "pull-out")
     kept = Commitments({"pull-out": 1.0}, since_s={"staged-0": 0.0}, stage=STAGE)
-    kept = replace(kept, standing=StandingTraffic("pull-out", (one,), 0.0, 15.0))
+    kept = replace(kept, standing=StandingTraffic("pull-out", (bus,), 0.0, 15.0))
     driven, after = advance(view, kept, 2, 8.0)
     assert [m.kind for m in driven] == ["pull-out"]
     assert after.standing.members == ()
@@ -128,7 +131,7 @@ def test_who_has_begun_stands_for_it_no_longer(motorway: RoadMap) -> None:
     assert let_in(view, after)[1].standing.members == ()
 
 
-def test_any_is_without_them_until_it_is_said(motorway: RoadMap) -> None:
+def test_any_has_no_slow_entries_by_default(motorway: RoadMap) -> None:
     assert tuple(KINDS) == ANY_KINDS
     drawn = [Agenda.draw(np.random.default_rng(k)).order for k in range(40)]
     assert not set(SLOW_ENTRIES) & {kind for order in drawn for kind in order}
@@ -144,8 +147,8 @@ def test_any_is_without_them_until_it_is_said(motorway: RoadMap) -> None:
         assert not is_possible(led, kind)
 
 
-def test_one_line_makes_them_part_of_any(motorway: RoadMap, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They have turns at first, in which who is to enter slowly comes in."""
+def test_slow_entries_can_be_added_to_any(motorway: RoadMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some episodes begin with their turns, in which vehicles are inserted for them."""
     free = view_of(motorway, target=(1, 50.0, 9.0))
     before = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
     monkeypatch.setattr(commitments, "ANY_KINDS", (*KINDS, *SLOW_ENTRIES))

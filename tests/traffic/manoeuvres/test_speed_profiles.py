@@ -1,4 +1,4 @@
-"""Distances and speeds by hand."""
+"""Distances and speeds of speed profiles, worked by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_second_acceleration_begins_at_its_time() -> None:
     assert driven[0, at(3.0)] == pytest.approx(20.0)
 
 
-def test_bounds_hold_and_a_speed_beyond_them_stays() -> None:
+def test_bounds_hold_and_a_speed_beyond_them_is_kept() -> None:
     profiles = [
         SpeedProfile(2.0, 9.0, 0.0, highest_mps=13.0),
         SpeedProfile(-4.0, 9.0, 0.0, lowest_mps=3.0),
@@ -40,7 +40,7 @@ def test_bounds_hold_and_a_speed_beyond_them_stays() -> None:
 
 
 @given(st.floats(0.0, 40.0), st.floats(-9.0, 3.0), st.floats(0.0, 6.0), st.floats(-9.0, 3.0))
-def test_nobody_drives_backwards(speed: float, first: float, switch: float, then: float) -> None:
+def test_no_vehicle_drives_backwards(speed: float, first: float, switch: float, then: float) -> None:
     driven, speeds = drive_profiles(np.array([speed]), [SpeedProfile(first, switch, then)])
     assert (np.diff(driven[0], prepend=0.0) >= 0.0).all()
     assert (speeds >= 0.0).all()

@@ -1,4 +1,4 @@
-"""On an empty road staging brings the encounter that shows a defect; sound and careful drivers pass it."""
+"""On an empty road staging creates the encounter that shows a defect; sound and careful drivers pass it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.planners.encounters import (
 )
 
 SEED, MOTORCYCLE_FIRST = 3, 6
-"""Of episodes; in the second a motorcycle comes in first."""
+"""Seeds of episodes; in the second a motorcycle is inserted first."""
 SHOWN_BY = [
     ("blind-crossing", "give_way", "crossing", SEED),
     ("priority", "give_way", "crossing", SEED),
@@ -80,7 +80,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
 
 @pytest.fixture(scope="module")
 def sound(encounters: dict[str, Encounter]) -> Any:
-    """Return what comes of an encounter without a defect, driven once."""
+    """Return the result of an encounter without a defect, driven once."""
     return cache(lambda name, attack, seed, target: drive(encounters[name], attack, [], seed, target))
 
 
@@ -107,7 +107,7 @@ def test_an_encounter_is_staged_that_shows_the_defect(
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", NARROW)
 @pytest.mark.parametrize("encounter", ["between", "beside"])
-def test_who_minds_only_the_nearest_runs_into_a_leader_in_company(
+def test_a_planner_that_tracks_only_the_nearest_runs_into_a_masked_leader(
     planner: str, encounter: str, encounters: dict[str, Encounter]
 ) -> None:
     row = drive(encounters[encounter], "double", [], SEED, f"tests.planners.narrow_planners:{planner}")

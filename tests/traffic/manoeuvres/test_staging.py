@@ -1,4 +1,4 @@
-"""Who comes in for an encounter, and where, on a straight lane of the motorway and at junctions of the downtown."""
+"""Vehicles that are inserted for an encounter, on a straight lane of the motorway and at junctions of the downtown."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from advdiff_sumo.traffic.manoeuvres.staging import (
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
 
-def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
-    """At 10 m/s, 1.5 s and 8 m ahead: 23 m."""
+def test_a_leader_is_inserted_if_there_is_none(motorway: RoadMap) -> None:
+    """At 10 m/s it is 1.5 s and 8 m ahead: 23 m."""
     view = view_of(motorway, target=(0, 50.0, 10.0))
     (leader,), stage = insert_newcomers(
         view, StagingMemory(most=3, classes=(AgentClass.TRUCK,)), ("hard-stop",)
@@ -53,15 +53,15 @@ def test_a_leader_comes_in_where_there_is_none(motorway: RoadMap) -> None:
         ({}, StagingMemory(most=3, next_try_s=1.0)),
     ],
 )
-def test_nobody_comes_in(
+def test_no_vehicle_is_inserted(
     motorway: RoadMap, cars: dict[str, tuple[int, float, float]], stage: StagingMemory
 ) -> None:
-    """There is a leader; nobody may; all that may have; it is not the time."""
+    """There is a leader; none may be inserted; all have been; it is too early for the next one."""
     view = view_of(motorway, target=(0, 50.0, 10.0), **cars)
     assert insert_newcomers(view, stage, ("hard-stop",))[0] == ()
 
 
-def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
+def test_a_vehicle_inserted_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0))
     (other,), _ = insert_newcomers(view, StagingMemory(most=3), ("cut-in",))
     assert view.target is not None
@@ -70,8 +70,8 @@ def test_who_comes_in_beside_leaves_the_safe_gap(motorway: RoadMap) -> None:
     assert float(ahead) - view.target.way.lane.s_m > 1.1 * 20.0 + SIZE_M[AgentClass.CAR][0]
 
 
-def test_who_comes_in_ahead_of_a_fast_target_is_its_leader(motorway: RoadMap) -> None:
-    """At 33 m/s it comes in 1.5 · 33 + 8 = 57.5 m ahead, and may stop hard there; who is 70 m ahead may not."""
+def test_a_vehicle_inserted_ahead_of_a_fast_target_counts_as_its_leader(motorway: RoadMap) -> None:
+    """At 33 m/s it is inserted 1.5 · 33 + 8 = 57.5 m ahead, and may stop hard there. A vehicle 70 m ahead may not."""
     view = view_of(motorway, target=(0, 50.0, 33.0))
     (leader,), _ = insert_newcomers(view, StagingMemory(most=3), ("hard-stop",))
     assert view.target is not None
@@ -79,49 +79,49 @@ def test_who_comes_in_ahead_of_a_fast_target_is_its_leader(motorway: RoadMap) ->
     assert ahead == pytest.approx(57.5, abs=0.1)
     for place, leads in ((50.0 + ahead, True), (120.0, False)):
         led = view_of(motorway, target=(0, 50.0, 33.0), leader=(0, place, 33.0))
-        assert any(not one.sets_up for one in hard_stop(led, 1)) == leads
+        assert any(not m.sets_up for m in hard_stop(led, 1)) == leads
 
 
-def test_only_the_next_one_ahead_gets_into_position_for_a_stop(motorway: RoadMap) -> None:
+def test_only_the_next_vehicle_ahead_gets_into_position_for_a_stop(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 75.0, 20.0), second=(0, 95.0, 20.0))
-    assert [any(one.sets_up for one in hard_stop(view, row)) for row in (1, 2)] == [True, False]
+    assert [any(m.sets_up for m in hard_stop(view, row)) for row in (1, 2)] == [True, False]
 
 
-@pytest.mark.parametrize(("place_m", "comes"), [(52.0, True), (95.0, False)])
-def test_somebody_comes_in_beside_though_another_one_drives_there(
-    place_m: float, comes: bool, motorway: RoadMap
+@pytest.mark.parametrize(("place_m", "is_inserted"), [(52.0, True), (95.0, False)])
+def test_a_vehicle_is_inserted_beside_though_another_one_drives_there(
+    place_m: float, is_inserted: bool, motorway: RoadMap
 ) -> None:
-    """Who drives level with a target at 20 m/s cannot get ahead of it; who is 45 m ahead can change lanes itself."""
+    """A vehicle level with a target at 20 m/s cannot get ahead of it; one 45 m ahead can change lanes itself."""
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, place_m, 20.0))
-    assert bool(insert_newcomers(view, StagingMemory(most=3), ("cut-in",))[0]) == comes
+    assert bool(insert_newcomers(view, StagingMemory(most=3), ("cut-in",))[0]) == is_inserted
 
 
-def test_the_gap_that_is_driven_to_does_not_depend_on_who_drives_to_it(motorway: RoadMap) -> None:
-    """Whoever is 26 m ahead of a target at 20 m/s aims at the same speed, reached in 0.8 s, at 19 as at 21 m/s."""
-    aims = []
-    for drives in (19.0, 20.0, 21.0):
-        view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 76.0, drives))
+def test_the_wanted_speed_does_not_depend_on_the_present_speed(motorway: RoadMap) -> None:
+    """26 m ahead of a target at 20 m/s it aims at the same speed, reached in 0.8 s, from 19 and from 21 m/s."""
+    wishes = []
+    for speed in (19.0, 20.0, 21.0):
+        view = view_of(motorway, target=(0, 50.0, 20.0), other=(1, 76.0, speed))
         assert view.target is not None
-        aims.append(drives + 0.8 * positioning_profile(view, view.target, 1).first_mps2)
-    assert aims == pytest.approx([aims[0]] * 3)
+        wishes.append(speed + 0.8 * positioning_profile(view, view.target, 1).first_mps2)
+    assert wishes == pytest.approx([wishes[0]] * 3)
 
 
 @pytest.mark.parametrize(("apart_m", "free"), [(9.6, False), (16.0, False), (16.5, True)])
-def test_there_is_no_room_close_ahead_of_somebody_on_the_junction(
+def test_there_is_no_room_close_ahead_of_a_vehicle_on_the_junction(
     apart_m: float, free: bool, downtown: RoadMap
 ) -> None:
-    """2 m beyond a straight junction: at 12 m/s it needs 9 m and 0.6 s behind it: 16.2 m, on the junction too."""
+    """2 m beyond a straight junction at 12 m/s it needs 9 m and 0.6 s behind it, 16.2 m, also on the junction."""
     lane, inside = downtown.lanes["B2-C2_0"], downtown.lanes[":B2_3_0"]
-    places = {"target": (lane, 50.0, 12.0), "behind": (inside, inside.length_m + 2.0 - apart_m, 12.0)}
-    view = SituationView.of(downtown, scene_on(places))
+    cars = {"target": (lane, 50.0, 12.0), "behind": (inside, inside.length_m + 2.0 - apart_m, 12.0)}
+    view = SituationView.of(downtown, scene_on(cars))
     way = view.way_from(lane.line.at(2.0), (lane.edge_id,))
     assert way is not None
-    one = Newcomer(way, 12.0)
-    assert np.linalg.norm(one.xy_m - view.scene.history.xy_m[1, -1]) == pytest.approx(apart_m, abs=0.01)
-    assert _is_free(view, one, ()) == free
+    newcomer = Newcomer(way, 12.0)
+    assert np.linalg.norm(newcomer.xy_m - view.scene.history.xy_m[1, -1]) == pytest.approx(apart_m, abs=0.01)
+    assert _is_free(view, newcomer, ()) == free
 
 
-def test_a_plan_names_who_comes_in_and_where_it_goes(motorway: RoadMap) -> None:
+def test_a_plan_names_inserted_vehicles_and_their_routes(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 10.0))
     newcomers, _ = insert_newcomers(view, StagingMemory(most=3, count=1), ("hard-stop",))
     plan = plan_with(Tracks.empty(steps=1, dt_s=0.5, t0_s=0.5), newcomers)
@@ -138,8 +138,8 @@ def minor_links(road: RoadMap) -> Iterator[Link]:
                 yield link
 
 
-def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) -> None:
-    """It comes over a link to which the target gives way, and meets a target that sees nobody."""
+def test_a_vehicle_with_priority_is_inserted_at_a_minor_approach(downtown: RoadMap) -> None:
+    """It comes over a link to which the target must yield, and meets a target that does not respond."""
     links = list(minor_links(downtown))
     assert links
     for link in links:
@@ -148,23 +148,23 @@ def test_somebody_with_priority_comes_in_at_a_minor_approach(downtown: RoadMap) 
         scene = scene_on({"target": (lane, lane.length_m - 40.0, 8.0)})
         view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to),)))
         newcomers, _ = insert_newcomers(view, StagingMemory(most=3), ("crossing",))
-        for one in newcomers:
-            crosses = [(reach, x) for reach, x in one.way.links if x.junction_id == link.junction_id]
+        for newcomer in newcomers:
+            own_links = [x for _, x in newcomer.way.links if x.junction_id == link.junction_id]
             response = downtown.junctions[link.junction_id].response[link.request_index]
-            assert crosses[0][1].request_index in response
-            assert one.route[0] != lane.edge_id
+            assert own_links[0].request_index in response
+            assert newcomer.route[0] != lane.edge_id
             assert view.target is not None
             driven = np.interp(CHECK_TIMES_S, FINE_TIMES_S, view.target.free_distance_m)
-            own = view.target.way.poses(driven, CHECK_TIMES_S)[0]
-            theirs = one.way.poses(one.speed_mps * CHECK_TIMES_S, CHECK_TIMES_S)[0]
-            assert np.linalg.norm(own - theirs, axis=-1).min() < 6.0
+            target_xy = view.target.way.poses(driven, CHECK_TIMES_S)[0]
+            own_xy = newcomer.way.poses(newcomer.speed_mps * CHECK_TIMES_S, CHECK_TIMES_S)[0]
+            assert np.linalg.norm(target_xy - own_xy, axis=-1).min() < 6.0
         if newcomers:
             return
-    pytest.fail("no minor approach of the downtown gets anybody")
+    pytest.fail("no vehicle is inserted at any minor approach of the downtown")
 
 
-def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downtown: RoadMap) -> None:
-    """8 m/s: 6 m in 0.75 s, 8 m of braking at 4 m/s² and half a car are 16 m; who turns across may wait further on."""
+def test_no_vehicle_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downtown: RoadMap) -> None:
+    """At 8 m/s it needs 16 m: 6 m in 0.75 s, 8 m at 4 m/s² and half a car. A turning target may wait further on."""
     met = Counter[tuple[float, bool]]()
     for link in minor_links(downtown):
         lane = downtown.lanes[link.from_lane]
@@ -172,18 +172,17 @@ def test_nobody_from_the_side_meets_a_target_that_cannot_stop_at_its_line(downto
             scene = scene_on({"target": (lane, lane.length_m - to_line_m, 8.0)})
             route = (lane.edge_id, downtown.lanes[link.to_lane].edge_id)
             view = SituationView.of(downtown, replace(scene, routes=(route,)))
-            for one in priority_approaches(view, oncoming=False):
-                there = next(x for _, x in one.way.links if x.junction_id == link.junction_id)
-                turned = (
-                    downtown.lanes[there.from_lane].line.segment_yaw_rad[-1] - lane.line.segment_yaw_rad[-1]
-                )
+            for approach in priority_approaches(view, oncoming=False):
+                own_link = next(x for _, x in approach.way.links if x.junction_id == link.junction_id)
+                own_lane = downtown.lanes[own_link.from_lane]
+                turned = own_lane.line.segment_yaw_rad[-1] - lane.line.segment_yaw_rad[-1]
                 met[to_line_m, bool(np.cos(turned) < -0.7)] += 1
     assert met[20.0, False]
     assert not met[14.0, False]
 
 
-def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None:
-    """At 9 m/s: a leader 18.5 m ahead, and 5 s and a lorry's length before that one a car that stands."""
+def test_a_standing_vehicle_is_inserted_ahead_of_a_leader(motorway: RoadMap) -> None:
+    """At 9 m/s the leader is 18.5 m ahead, and the standing car 5 s and a lorry's length ahead of that."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
     (leader, standing), stage = insert_newcomers(view, StagingMemory(most=3), ("cut-out",))
     assert view.target is not None
@@ -202,18 +201,18 @@ def test_somebody_who_stands_comes_in_behind_a_leader(motorway: RoadMap) -> None
         (9.0, {}, StagingMemory(most=1)),
     ],
 )
-def test_nobody_comes_in_to_stand(
+def test_no_standing_vehicle_is_inserted(
     speed_mps: float, cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
 ) -> None:
-    """There is a leader; the next lane is taken; the target would see nobody in time; two are needed."""
+    """There is a leader; the next lane is taken; the target is too fast; two vehicles are needed."""
     view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
     assert insert_newcomers(view, stage, ("cut-out",))[0] == ()
 
 
-def test_lorries_and_motorcycles_come_in_as_often_as_is_said() -> None:
-    """Of the first five two are lorries and two motorcycles: of 600 four in ten each."""
+def test_shares_of_the_classes_of_inserted_vehicles() -> None:
+    """Of the first five two are lorries and two motorcycles. Of 600 four in ten are of each."""
     stages = [Commitments.start("any", np.random.default_rng(k), staged=6).stage for k in range(100)]
-    count = Counter(one for stage in stages for one in stage.classes)
+    count = Counter(agent_class for stage in stages for agent_class in stage.classes)
     assert count.total() == 600
     assert count[AgentClass.TRUCK] == pytest.approx(240, abs=40)
     assert count[AgentClass.MOTORCYCLE] == pytest.approx(240, abs=40)

@@ -18,8 +18,8 @@ def motorway(networks: object) -> RoadMap:
     return RoadMap.read(f"{networks}/motorway.net.xml")
 
 
-def test_the_leader_drives_as_usual_then_stops_and_goes_on_stopping(motorway: RoadMap) -> None:
-    """It does nothing against the target for the first three seconds."""
+def test_the_leader_first_drives_ordinarily_then_stops_and_keeps_stopping(motorway: RoadMap) -> None:
+    """It does not attack for the first three seconds."""
     lane = long_lane(motorway)
     policy = ScriptedTraffic(attack="hard-stop")
     rng = np.random.default_rng(0)
@@ -56,7 +56,7 @@ def test_a_stop_is_over_when_both_stand_or_the_target_is_in_another_lane(motorwa
     assert policy.plan(motorway, passes, memory, rng)[0].tracks.agents == 0
 
 
-def test_nobody_is_moved_where_nothing_serves(motorway: RoadMap) -> None:
+def test_no_vehicle_is_moved_if_no_manoeuvre_is_useful(motorway: RoadMap) -> None:
     lane = long_lane(motorway)
     policy = ScriptedTraffic(staged=0)
     rng = np.random.default_rng(0)

@@ -26,7 +26,7 @@ SUPPORT_KINDS = (FOLLOWS, WAITS)
 """Kinds that do not attack."""
 LEADER_KINDS = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
 """Kinds of a leader, which keeps the target from reaching a crossing vehicle."""
-_FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
+_CLASSES_OF_FIVE = (*(AgentClass.TRUCK,) * 2, *(AgentClass.MOTORCYCLE,) * 2, AgentClass.CAR)
 """Classes of the first five inserted vehicles, and of every five after them."""
 PATIENCE_S = 2.0 * TURN_S
 """Until then only the kind whose turn it is, and crossing, may begin."""
@@ -174,7 +174,10 @@ class Commitments:
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(kind,))
         elif preference is not None:
-            shares = {agent_class: _FIVE.count(agent_class) / len(_FIVE) for agent_class in _FIVE}
+            shares = {
+                agent_class: _CLASSES_OF_FIVE.count(agent_class) / len(_CLASSES_OF_FIVE)
+                for agent_class in _CLASSES_OF_FIVE
+            }
             wanted, preference = preference.draw(rng, shares, len(classes))
             if wanted is not None:
                 stage = replace(stage, classes=wanted.classes, oncoming=wanted.oncoming)
@@ -183,6 +186,6 @@ class Commitments:
 
 
 def _newcomer_classes(rng: np.random.Generator, number: int) -> tuple[AgentClass, ...]:
-    """Return the classes of *number* inserted vehicles: ``_FIVE`` in a new random order for every five of them."""
-    fives = rng.random((-(-number // len(_FIVE)), len(_FIVE))).argsort(axis=1)
-    return tuple(_FIVE[i] for i in fives.ravel()[:number].tolist())
+    """Return the classes of *number* inserted vehicles: ``_CLASSES_OF_FIVE``, in a new random order every time."""
+    fives = rng.random((-(-number // len(_CLASSES_OF_FIVE)), len(_CLASSES_OF_FIVE))).argsort(axis=1)
+    return tuple(_CLASSES_OF_FIVE[i] for i in fives.ravel()[:number].tolist())

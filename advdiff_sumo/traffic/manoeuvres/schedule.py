@@ -48,11 +48,8 @@ def advance(
     fresh = [choice.manoeuvre for choice in chosen]
     fresh += follower_braking(view, [*going, *fresh], fresh, licence)
     driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
-    company = (
-        company_manoeuvres(view, {m.row for m in driven}, licence)
-        if DOUBLE in memory.startable_kinds(view)
-        else []
-    )
+    has_company = DOUBLE in memory.startable_kinds(view)
+    company = company_manoeuvres(view, {m.row for m in driven}, licence) if has_company else []
     memory = replace(memory, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     standing = memory.standing.without({name for name, under_way in begun.items() if not under_way.sets_up})

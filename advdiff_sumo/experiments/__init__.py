@@ -1,1 +1,1 @@
-"""Procedures that run episodes and learn from them, one file each."""
+"""Procedures that run episodes and evaluate or learn from them, one file each."""

@@ -1,4 +1,4 @@
-"""What came of the encounters of an episode: the target failed validly, nearly so, or resolved them calmly."""
+"""Rates the encounters of an episode: valid failure, near miss, or resolved calmly."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
 NEAR_S, NEAR_WORTH = 0.5, 0.5
-"""A time to collision below this is a share of a failure, at most so large."""
-_LASTS_S, _LEAST_S = 9.0, 2.5
+"""A time to collision below ``NEAR_S`` counts as a partial failure, of at most ``NEAR_WORTH`` (at 0 s)."""
+_LONGEST_S = 9.0
+"""An encounter ends this long after its begin at the latest."""
+_SHORTEST_S = 2.5
+"""An encounter without collision that was observed for less time does not count."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class BegunEncounter:
     """An encounter that has begun.
 
     Attributes:
-        since_s: when, since the episode's start.
-        names: who drives the manoeuvre, and who stands and is revealed by it.
+        since_s: time of its begin, since the episode's start.
+        names: ids of the vehicle that drives the manoeuvre and, for a cut-out, of the standing vehicles it reveals.
         features: (D,) see ``encounter_features``.
     """
 
@@ -42,12 +45,12 @@ class BegunEncounter:
 
 @dataclass(frozen=True)
 class EncounterLog:
-    """A policy as it is, with notes on the encounters that it begins.
+    """Wraps a policy, without changing its plans, and logs the encounters that it begins.
 
     Attributes:
         policy: "scripted" or "diffusion", with a preference.
         begun: encounters of the present episode.
-        plans: number of its plans.
+        plans: times of its plans (s).
     """
 
     policy: TrafficPolicy
@@ -55,69 +58,79 @@ class EncounterLog:
     plans: list[float] = field(default_factory=list)
 
     def forget(self) -> None:
-        """Forget the last episode."""
+        """Clear the log of the last episode."""
         self.begun.clear()
         self.plans.clear()
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
-        """Forget the last episode, and start the policy."""
+        """Clear the log of the last episode and start the policy."""
         self.forget()
         return self.policy.start(road, scene, log, rng)
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator
     ) -> tuple[JointPlan, Any]:
-        """Return the policy's plan."""
-        plan, after = self.policy.plan(road, scene, memory, rng)
-        before = _commitments(memory)
+        """Return the policy's plan, and log the encounters that begin with it."""
+        plan, new_memory = self.policy.plan(road, scene, memory, rng)
+        previous = _commitments(memory)
         self.plans.append(scene.time_s)
-        for name, one in _commitments(after).active.items():
-            began = before.active.get(name) != one and one.since_s == scene.time_s
-            if one.features and not one.sets_up and began:
-                names = (name, *before.standing.names) if one.kind == "cut-out" else (name,)
-                self.begun.append(BegunEncounter(one.since_s, names, one.features))
-        return plan, after
+        for name, commitment in _commitments(new_memory).active.items():
+            began = previous.active.get(name) != commitment and commitment.since_s == scene.time_s
+            if commitment.features and not commitment.sets_up and began:
+                names = (name, *previous.standing.names) if commitment.kind == "cut-out" else (name,)
+                self.begun.append(BegunEncounter(commitment.since_s, names, commitment.features))
+        return plan, new_memory
 
 
 def _commitments(memory: Any) -> Commitments:
-    kept = memory.commitments if isinstance(memory, DiffusionMemory) else memory
-    return kept if isinstance(kept, Commitments) else Commitments({})
+    commitments = memory.commitments if isinstance(memory, DiffusionMemory) else memory
+    return commitments if isinstance(commitments, Commitments) else Commitments({})
 
 
 def outcomes(
     record: EpisodeRecord, road: RoadMap, begun: Sequence[BegunEncounter]
 ) -> tuple[list[BegunEncounter], FloatArray]:
-    """Return the encounters that came to an end, and (N,) what came of each.
+    """Return the completed encounters and the outcome (N,) of each.
 
-    1: the target failed validly against one of them; up to ``NEAR_WORTH``: less than ``NEAR_S`` were left to a contact;
-    0: it resolved it. One that the episode's end cut off, and one that ended in a collision that is no valid failure,
-    do not count.
+    1: a valid failure of the target against a vehicle of the encounter. Above 0 and up to ``NEAR_WORTH``: the time to
+    collision fell below ``NEAR_S``. 0: resolved. Encounters that the episode's end cuts off do not count, nor do those
+    that end in a collision that is no valid failure.
     """
-    hit = target_collision(record, collisions(record))
-    struck = None if hit is None else record.tracks.ids[hit.rows[1]]
-    failed = hit is not None and judge(record, road, hit).valid_failure
+    collision = target_collision(record, collisions(record))
+    partner_id = None if collision is None else record.tracks.ids[collision.rows[1]]
+    failed = collision is not None and judge(record, road, collision).valid_failure
     ttc = time_to_collision(record.tracks, record.target)
     times = np.asarray(record.tracks.t0_s + record.tracks.dt_s * np.arange(record.tracks.steps), np.float64)
     ended: list[BegunEncounter] = []
-    out: list[float] = []
-    for k, one in enumerate(begun):
-        again = [other.since_s for other in begun[k + 1 :] if {*other.names} & {*one.names}]
-        until = min(one.since_s + _LASTS_S, float(times[-1]), *again)
-        if struck in one.names and not again:
-            came = 1.0 if failed else None
+    values: list[float] = []
+    for k, encounter in enumerate(begun):
+        repeated_s = [later.since_s for later in begun[k + 1 :] if {*later.names} & {*encounter.names}]
+        until_s = min(encounter.since_s + _LONGEST_S, float(times[-1]), *repeated_s)
+        if partner_id in encounter.names and not repeated_s:
+            value = 1.0 if failed else None
+        elif until_s - encounter.since_s >= _SHORTEST_S:
+            value = _near_miss_outcome(record, ttc, times, encounter, until_s)
         else:
-            came = _nearly(record, ttc, times, one, until) if until - one.since_s >= _LEAST_S else None
-        if came is not None:
-            ended.append(one)
-            out.append(came)
-    return ended, np.array(out)
+            value = None
+        if value is not None:
+            ended.append(encounter)
+            values.append(value)
+    return ended, np.array(values)
 
 
-def _nearly(
-    record: EpisodeRecord, ttc_s: FloatArray, times_s: FloatArray, one: BegunEncounter, until_s: float
+def _near_miss_outcome(
+    record: EpisodeRecord, ttc_s: FloatArray, times_s: FloatArray, encounter: BegunEncounter, until_s: float
 ) -> float:
-    """Return which share of a failure it was that so little time (A, T) was left to a contact at times (T,)."""
-    rows = [record.tracks.index[name] for name in one.names if name in record.tracks.index]
-    during = (times_s > one.since_s) & (times_s <= until_s)
-    least = float(np.nanmin(ttc_s[rows][:, during], initial=np.inf))
-    return NEAR_WORTH * float(np.clip(1.0 - least / NEAR_S, 0.0, 1.0))
+    """Return the partial failure of an encounter by its least time to collision.
+
+    Args:
+        record: the episode.
+        ttc_s: (A, T) times to collision with the target.
+        times_s: (T,) instants.
+        encounter: its vehicles and its begin.
+        until_s: its end.
+    """
+    rows = [record.tracks.index[name] for name in encounter.names if name in record.tracks.index]
+    during = (times_s > encounter.since_s) & (times_s <= until_s)
+    least_ttc_s = float(np.nanmin(ttc_s[rows][:, during], initial=np.inf))
+    return NEAR_WORTH * float(np.clip(1.0 - least_ttc_s / NEAR_S, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Warm-up under a licence: which lawful encounters break a planner, from the first plans against it."""
+"""Warm-up under a licence: learns from a few episodes in which kinds of encounter a planner fails."""
 
 from __future__ import annotations
 
@@ -25,27 +25,29 @@ from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
 EPISODE_S = 7.0
-"""Longest duration of an episode of a warm-up, if nobody says otherwise: the first encounters are staged nearest."""
+"""Default duration of a warm-up's episode: the first encounters of an episode are staged nearest to the target."""
 SCENE = SceneOptions(density_per_km=1.5, min_neighbours=0, min_speed_mps=6.0, scenes_per_warmup=8)
-"""Seed scenes of a warm-up, if nobody says otherwise: with room for encounters."""
-_TRIES = 2
-"""So often an encounter is tried that does not come about."""
-_ROOM_M, _ASIDE_M, _PASSED_OVER = 60.0, 4.0, 20
-"""Seed scenes with somebody so near ahead of the target are passed over, at most so many in a row."""
-_IDLE = 3
-"""After so many episodes in a row without a plan a warm-up gives up."""
+"""Default seed scenes of a warm-up: sparse traffic, which leaves room for encounters."""
+_MAX_TRIES = 2
+"""Episodes in which an encounter is tried; after these the next one is tried, even if it never took place."""
+_FREE_AHEAD_M, _FREE_ASIDE_M = 60.0, 4.0
+"""A seed scene is skipped if a vehicle is this near ahead of the target and this near to its side."""
+_MAX_SKIPPED = 20
+"""Seed scenes skipped in a row at most."""
+_MAX_IDLE_EPISODES = 3
+"""A warm-up fails after this many episodes in a row without a plan."""
 
 
 @dataclass(frozen=True)
 class MetEncounters:
-    """What a planner did in the encounters that it met.
+    """How a planner fared in the encounters of a warm-up.
 
     Attributes:
-        predictor: what is believed of it now.
+        predictor: predicts its failures; fitted to these encounters.
         features: (N, D) of the encounters.
-        outcomes: (N,) 0: resolved, 1: failed validly.
-        plans: plans that were made.
-        episodes: in so many episodes.
+        outcomes: (N,) from 0 (resolved) to 1 (valid failure), see ``encounter_outcomes``.
+        plans: number of plans that were made.
+        episodes: number of episodes.
     """
 
     predictor: FailurePredictor
@@ -64,27 +66,26 @@ def meet(
     options: RunOptions,
     prior: FailurePredictor,
     plans: int,
-    tell: Callable[[int], None],
+    on_progress: Callable[[int], None],
     learns: bool = True,
     probes: bool = True,
 ) -> MetEncounters:
-    """Let the background of *options* meet the target for *plans* plans, and learn in which encounters it fails.
+    """Run episodes of *options* until *plans* plans are made, and learn in which encounters the target fails.
 
-    After each episode the belief is made anew from *prior* and all encounters so far.
+    After each episode a new predictor is fitted, from *prior*, to all encounters so far.
 
     Args:
-        options: of a run with background "scripted" or "diffusion" under a licence; its number of episodes does
-            not count.
-        prior: what is believed before.
-        plans: to be made.
-        tell: called with the plans made after each episode.
-        learns: False: the belief stays *prior*.
-        probes: whether kinds and classes take turns, see ``encounter_preference``; False: each episode goes for what is
-            believed by then.
+        options: of a run with background "scripted" or "diffusion" under a licence. Its number of episodes is ignored.
+        prior: predictor before the first episode.
+        plans: number of plans to make.
+        on_progress: called with the number of plans after each episode.
+        learns: False: *prior* is used throughout.
+        probes: True: kinds and classes of encounters take turns, see ``encounter_preference``. False: each episode
+            stages the encounters that the predictor prefers by then.
 
     Raises:
         ConfigError: the background has no encounters.
-        EpisodeFailure: planner or background fail before their first plan, again and again.
+        EpisodeFailure: planner or background fail before their first plan in several episodes in a row.
     """
     run = Run.prepare(options)
     policy = run.policy
@@ -94,81 +95,89 @@ def meet(
         raise ConfigError("warm-up is for traffic that attacks: give a guide, and a strength above 0")
     log = EncounterLog(policy)
     run = replace(run, policy=log)
-    features, came = np.zeros((0, len(FEATURES))), np.zeros(0)
-    believed, made, episodes, idle = prior, 0, 0, 0
+    features, encounter_outcomes = np.zeros((0, len(FEATURES))), np.zeros(0)
+    predictor, plans_made, episodes, idle_episodes = prior, 0, 0, 0
     probe, tries = 0, 0
     for number, scene in enumerate(with_room(run.seed_scenes()) if probes else run.seed_scenes()):
-        policy.preference = EncounterPreference(believed, 0.0, probe if probes else None)
-        left_s = PLAN_DT_S * (plans - made)
+        policy.preference = EncounterPreference(predictor, 0.0, probe if probes else None)
+        left_s = PLAN_DT_S * (plans - plans_made)
         log.forget()  # a planner that fails as the episode begins ends it before the policy starts
         record, _ = replace(run.episode(number, scene), horizon_s=min(options.horizon_s, left_s)).run()
-        ended, of_them = outcomes(record, run.road, log.begun)
+        ended, new_outcomes = outcomes(record, run.road, log.begun)
         tries += 1
-        if answers(probe, features_of(ended)) or tries == _TRIES:
+        if answers(probe, features_of(ended)) or tries == _MAX_TRIES:
             probe, tries = probe + 1, 0
         features = np.concatenate((features, features_of(ended)))
-        came = np.concatenate((came, of_them))
-        made, episodes = made + len(log.plans), episodes + 1
-        believed = prior.adapted(features, came) if learns and len(came) else prior
-        idle = 0 if log.plans else idle + 1
-        if idle >= _IDLE and record.failure is not None:
+        encounter_outcomes = np.concatenate((encounter_outcomes, new_outcomes))
+        plans_made, episodes = plans_made + len(log.plans), episodes + 1
+        predictor = (
+            prior.adapted(features, encounter_outcomes) if learns and len(encounter_outcomes) else prior
+        )
+        idle_episodes = 0 if log.plans else idle_episodes + 1
+        if idle_episodes >= _MAX_IDLE_EPISODES and record.failure is not None:
             raise EpisodeFailure(
-                f"{counted(idle, 'episode')} without a plan; the last one: {record.failure.message}"
+                f"{counted(idle_episodes, 'episode')} without a plan; the last one: {record.failure.message}"
             )
-        tell(min(made, plans))
-        if made >= plans:
+        on_progress(min(plans_made, plans))
+        if plans_made >= plans:
             break
-    return MetEncounters(believed, features, came, made, episodes)
+    return MetEncounters(predictor, features, encounter_outcomes, plans_made, episodes)
 
 
 def with_room(scenes: Iterable[SeedScene]) -> Iterator[SeedScene]:
-    """Yield those of *scenes* in which nobody is ahead of the target, so that whom a warm-up asks about can come in.
+    """Yield the *scenes* in which the road ahead of the target is free, so that attackers can be inserted there.
 
-    Where too many have somebody there, one of them is taken all the same.
+    After ``_MAX_SKIPPED`` scenes with a vehicle ahead, the next one is yielded in any case.
     """
-    passed_over = 0
+    skipped = 0
     for scene in scenes:
-        now, own = scene.history, scene.history.index[scene.target]
-        place = local_from_world(now.xy_m[:, -1], now.xy_m[own, -1], now.yaw_rad[own, -1])
-        near = (place[:, 0] > 0.0) & (place[:, 0] < _ROOM_M) & (np.abs(place[:, 1]) < _ASIDE_M)
-        near[own] = False
-        passed_over += 1
-        if not (near & now.valid[:, -1]).any() or passed_over > _PASSED_OVER:
-            passed_over = 0
+        history, target_row = scene.history, scene.history.index[scene.target]
+        local_xy_m = local_from_world(
+            history.xy_m[:, -1], history.xy_m[target_row, -1], history.yaw_rad[target_row, -1]
+        )
+        is_near = (
+            (local_xy_m[:, 0] > 0.0)
+            & (local_xy_m[:, 0] < _FREE_AHEAD_M)
+            & (np.abs(local_xy_m[:, 1]) < _FREE_ASIDE_M)
+        )
+        is_near[target_row] = False
+        skipped += 1
+        if not (is_near & history.valid[:, -1]).any() or skipped > _MAX_SKIPPED:
+            skipped = 0
             yield scene
 
 
 def features_of(encounters: Sequence[BegunEncounter]) -> FloatArray:
     """Return (N, D) features of *encounters*."""
-    return np.array([one.features for one in encounters]).reshape(-1, len(FEATURES))
+    return np.array([encounter.features for encounter in encounters]).reshape(-1, len(FEATURES))
 
 
-def warm_up_failures(options: RunOptions, plans: int, tell: Callable[[int], None]) -> MetEncounters:
-    """Meet the target of *options*, from the shipped prior, in scenes with room where none are asked for.
+def warm_up_failures(options: RunOptions, plans: int, on_progress: Callable[[int], None]) -> MetEncounters:
+    """Run :func:`meet` from the shipped prior, with ``EPISODE_S`` and ``SCENE`` where *options* do not set them.
 
     Args:
         options: of a run, see :func:`meet`.
-        plans: to be made.
-        tell: called with the plans made after each episode.
+        plans: number of plans to make.
+        on_progress: called with the number of plans after each episode.
 
     Raises:
         ConfigError: the background has no encounters.
-        EpisodeFailure: planner or background fail before their first plan, again and again.
+        EpisodeFailure: planner or background fail before their first plan in several episodes in a row.
     """
-    usual = {"horizon_s": EPISODE_S, "scene": SCENE}
-    update = {name: value for name, value in usual.items() if name not in options.model_fields_set}
+    defaults = {"horizon_s": EPISODE_S, "scene": SCENE}
+    update = {name: value for name, value in defaults.items() if name not in options.model_fields_set}
     prior = load_failures(shipped_weights("failures"), len(FEATURES))
-    return meet(options.model_copy(update=update), prior, plans, tell)
+    return meet(options.model_copy(update=update), prior, plans, on_progress)
 
 
-def promises(predictor: FailurePredictor) -> Mapping[str, float]:
-    """Return the failures predicted of each kind in its mean encounter, most likely first, as shares."""
+def failure_probabilities(predictor: FailurePredictor) -> Mapping[str, float]:
+    """Return the predicted failure probability of each kind in its mean encounter, highest first."""
     predicted = dict(zip(KINDS, predictor.probability(predictor.typical).tolist(), strict=True))
-    return dict(sorted(predicted.items(), key=lambda one: -one[1]))
+    return dict(sorted(predicted.items(), key=lambda pair: -pair[1]))
 
 
 def header(options: RunOptions, done: MetEncounters) -> Mapping[str, object]:
-    """Return what the file of a warm-up says about it."""
+    """Return the header of a warm-up's file."""
     return {
         "target": options.target,
         "net": options.net,

@@ -1,4 +1,4 @@
-"""What a run or sweep came to, as rows of one form: a run is a sweep of one cell."""
+"""Reads the results of a run or sweep as rows of one form; a run is treated as a sweep of one cell."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class FolderRows:
 
     Attributes:
         path: the folder.
-        plan: what was asked.
+        plan: all jobs.
         episodes: rows with the columns of a sweep's ``episodes``.
         failures: rows of those that failed, with the columns of a sweep's ``failures``.
-        missing: how many have not been run; none of a run that has ended, also where its log had fewer seed scenes.
-        of_run: whether it is a run's.
+        missing: number of episodes not yet run; 0 for a run that has ended, even if its log had too few seed scenes.
+        of_run: whether it is the folder of a run.
     """
 
     path: Path
@@ -67,18 +67,18 @@ class FolderRows:
         return [] if going_on else read_rows(self.path, "timing")
 
     def tables(self) -> dict[str, pa.Table]:
-        """Return the tables that the folder itself does not hold in a sweep's form."""
+        """Return the tables of a run in the form of a sweep's; none for a sweep, whose folder holds them."""
         if not self.of_run:
             return {}
         rows = {"episodes": self.episodes, "failures": self.failures}
-        return {name: table_of(some, SWEEP_TABLES[name]) for name, some in rows.items()}
+        return {name: table_of(table_rows, SWEEP_TABLES[name]) for name, table_rows in rows.items()}
 
 
 def rows_of_folder(folder: Path) -> FolderRows:
-    """Return the rows of the run or sweep in *folder*; a sweep's tables are mended where they are missing or behind.
+    """Return the rows of the run or sweep in *folder*; a sweep's missing or outdated tables are written again.
 
     Raises:
-        InputError: it holds neither, is damaged, or its nets, demand or logs are no longer what they were.
+        InputError: it holds neither, is damaged, or its nets, demand or logs have changed.
     """
     tables = RunTables(folder)
     if not tables.is_sweep and (folder / RUN_SETTINGS).is_file():
@@ -89,59 +89,61 @@ def rows_of_folder(folder: Path) -> FolderRows:
         )
     store = Store.open(folder)
     plan = stored_plan(store)
-    missing = tables_of(store, plan) + plan.wanted - len(plan.jobs)  # a diverse sweep has not chosen all
+    missing = (
+        tables_of(store, plan) + plan.wanted - len(plan.jobs)
+    )  # of a diverse sweep, not all are chosen yet
     return rows_of_sweep(store, plan, missing)
 
 
 def put_together(folder: Path) -> None:
-    """Put the tables of an interrupted run or sweep together where episodes have finished that are not in them.
+    """Add finished episodes to the tables of an interrupted run or sweep that lack them.
 
-    A margin's folder stays as it is: its tables are of the trials that it names.
+    Existing tables of a margin's folder stay as they are, since they hold only its neighbouring trials.
 
     Raises:
-        InputError: the folder is damaged, or has no tables and they cannot be put together.
+        InputError: the folder is damaged, or it has no tables and they cannot be made.
     """
     tables = RunTables(folder)
-    are_there = tables.path("episodes").exists()
+    has_tables = tables.path("episodes").exists()
     try:
         if tables.is_sweep:
             store = Store.open(folder)
-            behind = not are_there or tables_are_behind(store)
-            if behind and not (folder / SUBJECT).exists():
+            is_behind = not has_tables or tables_are_behind(store)
+            if is_behind and not (folder / SUBJECT).exists():
                 tables_of(store, stored_plan(store))
         elif (folder / RUN_PARTS).is_dir():
             RunFolder(folder).catch_up()
-    except InputError:  # its nets are gone, or nothing can be written there
-        if not are_there:
+    except InputError:  # its nets are missing, or the folder is read-only
+        if not has_tables:
             raise
 
 
 def rows_of_sweep(store: Store, plan: SweepPlan, missing: int) -> FolderRows:
-    """Return the rows of the sweep in *store*, whose tables are there and lack *missing* episodes."""
-    read = partial(read_rows, store.path)
-    return FolderRows(store.path, plan, read("episodes"), read("failures"), missing)
+    """Return the rows of the sweep in *store* from its tables, which lack *missing* episodes."""
+    rows_of = partial(read_rows, store.path)
+    return FolderRows(store.path, plan, rows_of("episodes"), rows_of("failures"), missing)
 
 
 def _of_run(folder: Path) -> FolderRows:
-    run = stored_run(folder, planner=LaneGraphPlanner())  # nothing is driven
-    plan, begun = plan_run(run), RunFolder(folder)
-    parts = begun.episodes()
+    run = stored_run(folder, planner=LaneGraphPlanner())  # is not called
+    plan, run_folder = plan_run(run), RunFolder(folder)
+    stored_episodes = run_folder.episodes()
     jobs = {job.number: job for job in plan.jobs}
     episodes, failures = Rows(), Rows()
-    for number, part in parts.items():
-        own = job_row(jobs[number], plan.cells[0])
-        episodes += [own | row for row in _episode_rows(part, run)]
-        if part.failed is not None:
-            failures.append(own | begun.failure_row(number, part.failed))
-    ended = bool(parts) and not begun.store.path.is_dir()
-    missing = 0 if ended else len(jobs) - len(parts)
+    for number, stored_episode in stored_episodes.items():
+        job_columns = job_row(jobs[number], plan.cells[0])
+        episodes += [job_columns | row for row in _episode_rows(stored_episode, run)]
+        if stored_episode.failed is not None:
+            failures.append(job_columns | run_folder.failure_row(number, stored_episode.failed))
+    has_ended = bool(stored_episodes) and not run_folder.store.path.is_dir()
+    missing = 0 if has_ended else len(jobs) - len(stored_episodes)
     return FolderRows(folder, plan, episodes, failures, missing, of_run=True)
 
 
-def _episode_rows(part: StoredEpisode, run: Run) -> Iterable[dict[str, Any]]:
-    """Yield the row of ``episodes`` of an episode, with where and how it became critical."""
-    for row in part.tables["episodes"].to_pylist() if part.tables else ():
-        record = stored_record(part.tables["states"], row)
-        found = {} if record is None else situation(record, row, run.road)
-        stored = {name: row[name] for name in SITUATION_COLUMNS if row.get(name) is not None}
-        yield row | found | stored
+def _episode_rows(stored_episode: StoredEpisode, run: Run) -> Iterable[dict[str, Any]]:
+    """Yield the row of ``episodes`` of an episode, with the columns of its critical situation."""
+    for row in stored_episode.tables["episodes"].to_pylist() if stored_episode.tables else ():
+        record = stored_record(stored_episode.tables["states"], row)
+        situation_columns = {} if record is None else situation(record, row, run.road)
+        stored_columns = {name: row[name] for name in SITUATION_COLUMNS if row.get(name) is not None}
+        yield row | situation_columns | stored_columns

@@ -48,23 +48,23 @@ from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 from advdiff_sumo.sweep.sweep_store import Store
 
-#: As many episodes are judged before other processes have started; the clairvoyant search takes longer.
-_TOO_FEW = 16
-#: What is taken over of an episode's row; the rest stays as it was measured with all that the simulation knew.
-_JUDGED = (
+#: Up to this many episodes are judged in this process, unless the clairvoyant search is asked for.
+_IN_PROCESS_EPISODES = 16
+#: Columns of an episode's row that are replaced; the others stay, as they were measured within the simulation.
+_EPISODE_VERDICTS = (
     *("collision_type", "at_fault", "fault_reason"),
     *VERDICT_COLUMNS,
     *CRITICAL_COLUMNS,
 )
-_OF_COLLISIONS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
+_COLLISION_VERDICTS = ("type", "at_fault", "fault_reason", *VERDICT_COLUMNS)
 
 
 @dataclass(frozen=True)
 class EpisodeTables:
-    """What is stored of one episode.
+    """The stored tables of one episode.
 
     Attributes:
-        net: where the net is.
+        net: file of the net.
         row: of ``episodes``.
         states: rows of ``states``.
         collisions: rows of ``collisions``.
@@ -82,7 +82,7 @@ class EpisodeTables:
         return stored_record(self.states, self.row, self.signals)
 
     def road(self) -> RoadMap:
-        """Return the net, which is read once for many episodes.
+        """Return the net, from a cache if possible.
 
         Raises:
             NetError: it cannot be read.
@@ -108,11 +108,11 @@ class Judging:
     """A folder whose episodes are to be judged.
 
     Attributes:
-        count: how many episodes it has.
-        episodes: gives them, each with its key.
-        keep: called with a key and what was judged, as each is done.
-        finish: called at the end.
-        doubt: why the nets that are there now may not be those of the episodes; "" where they are.
+        count: number of its episodes.
+        episodes: yields them, each with its key.
+        keep: stores the judged rows of the episode with this key.
+        finish: writes the tables, at the end.
+        doubt: why the present nets may differ from those of the episodes; "": they are the same.
     """
 
     count: int
@@ -121,23 +121,25 @@ class Judging:
     finish: Callable[[], object]
     doubt: str = ""
 
-    def judge(self, workers: int, tell: Callable[[], None], search: bool = False) -> list[dict[str, Any]]:
-        """Judge all episodes and return their rows; *tell* is called after each.
+    def judge(
+        self, workers: int, on_progress: Callable[[], None], search: bool = False
+    ) -> list[dict[str, Any]]:
+        """Judge all episodes and return their rows.
 
         Args:
-            workers: processes; few episodes are judged in this one.
-            tell: as above.
-            search: ask the clairvoyant search of each collision of the target; what it said before is kept otherwise.
+            workers: number of processes; a few episodes are judged in this process.
+            on_progress: called after each episode.
+            search: run the clairvoyant search for each collision of the target; False: its stored result is kept.
 
         Raises:
-            InputError: a table or net cannot be read, or the results not be written.
+            InputError: a table or net cannot be read, or the results cannot be written.
         """
         rows: list[tuple[str, dict[str, Any]]] = []
-        few = self.count <= _TOO_FEW and not search
-        for key, judged in _judged(self.episodes(), 1 if few else workers, search):
+        is_small = self.count <= _IN_PROCESS_EPISODES and not search
+        for key, judged in _judged_episodes(self.episodes(), 1 if is_small else workers, search):
             self.keep(key, judged)
             rows.append((key, judged.episode))
-            tell()
+            on_progress()
         self.finish()
         return [row for _, row in sorted(rows, key=lambda pair: int(pair[1]["episode"]))]
 
@@ -150,35 +152,35 @@ def open_judging(folder: Path) -> Judging:
     """
     if not (folder / SWEEP_SETTINGS).exists():
         put_together(folder)
-        return replace(_tables(folder, EPISODE_COLUMNS), doubt=_doubt_of_run(folder))
+        return replace(_judge_tables(folder, EPISODE_COLUMNS), doubt=_doubt_about_net(folder))
     store = Store.open(folder)
     try:
         plan = stored_plan(store)
     except ConfigError as error:  # of an earlier version, or its nets have changed
         kept = "verdicts go into its tables alone, until results puts these together again"
-        return replace(_tables(folder, SWEEP_TABLES["episodes"]), doubt=f"{error}; {kept}")
-    return _sweep(store, plan)
+        return replace(_judge_tables(folder, SWEEP_TABLES["episodes"]), doubt=f"{error}; {kept}")
+    return _judge_sweep(store, plan)
 
 
-def _doubt_of_run(folder: Path) -> str:
-    """Return why a net that is there now may not be that of the run in *folder*; "" where it is."""
+def _doubt_about_net(folder: Path) -> str:
+    """Return why the present net may differ from that of the run in *folder*; "": it is the same."""
     try:
-        stored_run(folder, planner=LaneGraphPlanner())  # nothing is driven
+        stored_run(folder, planner=LaneGraphPlanner())  # the planner is not called
     except InputError as error:  # of an earlier version, or its net has changed
         return str(error)
     return ""
 
 
-def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
-    """Judge the episodes of the tables in *folder*, whose episodes have *columns*."""
+def _judge_tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
+    """Return a judging of the tables in *folder*; ``episodes`` is written with *columns*."""
     tables = RunTables(folder)
     if not (tables.is_sweep or (folder / RUN_SETTINGS).exists()):
         raise FileError(folder, "holds no run and no sweep", "give a finished one, or --net with a scenario")
     net = str(tables.settings().get("options", {}).get("net", ""))
     rows = {int(row["episode"]): row for row in tables.rows("episodes").to_pylist()}
-    hits: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
+    collisions: dict[int, list[dict[str, Any]]] = {number: [] for number in rows}
     for row in tables.rows("collisions").to_pylist():
-        hits[int(row["episode"])].append(row)
+        collisions[int(row["episode"])].append(row)
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:
         signals = _by_episode(tables.rows("signals")) if tables.path("signals").exists() else None
@@ -186,58 +188,61 @@ def _tables(folder: Path, columns: Mapping[str, Column]) -> Judging:
         for number, row in rows.items():
             if number in states:
                 lights = None if signals is None else signals.get(number)
-                place = _net(str(row.get("net") or net), folder)
-                yield str(number), EpisodeTables(place, row, states[number], hits[number], lights)
+                net_file = _found_net(str(row.get("net") or net), folder)
+                yield str(number), EpisodeTables(net_file, row, states[number], collisions[number], lights)
 
     def keep(key: str, judged: JudgedRows) -> None:
-        rows[int(key)], hits[int(key)] = judged.episode, judged.collisions
-        if not tables.is_sweep:  # one that was interrupted goes on from its parts
+        rows[int(key)], collisions[int(key)] = judged.episode, judged.collisions
+        if not tables.is_sweep:  # an interrupted run is resumed from the stored episodes
             _keep_in_part(RunFolder(folder).store, run_key(int(key)), judged)
 
     def finish() -> None:
-        _replace(tables.path("episodes"), list(rows.values()), columns)
-        _replace(tables.path("collisions"), [x for some in hits.values() for x in some], COLLISION_COLUMNS)
+        _write_table(tables.path("episodes"), list(rows.values()), columns)
+        all_collisions = [row for episode_rows in collisions.values() for row in episode_rows]
+        _write_table(tables.path("collisions"), all_collisions, COLLISION_COLUMNS)
 
     return Judging(len(rows), episodes, keep, finish)
 
 
-def _sweep(store: Store, plan: SweepPlan) -> Judging:
+def _judge_sweep(store: Store, plan: SweepPlan) -> Judging:
+    """Return a judging of the finished episodes in *store*."""
     jobs = {job.key: job for job in plan.jobs if store.has(job.key)}
 
     def episodes() -> Iterator[tuple[str, EpisodeTables]]:
         for key, job in jobs.items():
-            part = store.read(key)
-            if part is None or "states" not in part.tables:
+            stored = store.read(key)
+            if stored is None or "states" not in stored.tables:
                 continue
-            (row,) = part.tables["episodes"].to_pylist()
-            hits = part.tables["collisions"].to_pylist()
-            net = _net(plan.options(job).net, store.path)
-            yield key, EpisodeTables(net, row, part.tables["states"], hits, part.tables.get("signals"))
+            (row,) = stored.tables["episodes"].to_pylist()
+            collisions = stored.tables["collisions"].to_pylist()
+            net_file = _found_net(plan.options(job).net, store.path)
+            signals = stored.tables.get("signals")
+            yield key, EpisodeTables(net_file, row, stored.tables["states"], collisions, signals)
 
     return Judging(len(jobs), episodes, partial(_keep_in_part, store), partial(consolidate, store, plan))
 
 
 def _keep_in_part(store: Store, key: str, judged: JudgedRows) -> None:
-    """Put what was judged into the file of an episode, where there is one."""
-    part = store.read(key)
-    if part is None:
+    """Replace the judged rows in the stored episode *key*, if there is one."""
+    stored = store.read(key)
+    if stored is None:
         return
-    before = part.tables["episodes"]
+    stored_rows = stored.tables["episodes"]
     columns = {**EPISODE_COLUMNS, **SITUATION_COLUMNS}
-    row = dict.fromkeys(columns) | before.to_pylist()[0] | judged.episode
+    row = dict.fromkeys(columns) | stored_rows.to_pylist()[0] | judged.episode
     tables = {
         "episodes": table_of([row], columns),
         "collisions": table_of(judged.collisions, COLLISION_COLUMNS),
     }
-    store.write(key, StoredEpisode({**part.tables, **tables}, part.failed).to_bytes())
+    store.write(key, StoredEpisode({**stored.tables, **tables}, stored.failed).to_bytes())
 
 
 def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
-    """Return the rows of *stored* with verdicts; those of an episode that never began without.
+    """Return the rows of *stored* with verdicts; unchanged if the episode has no target or fewer than two instants.
 
     Args:
         stored: the episode.
-        search: ask the clairvoyant search.
+        search: run the clairvoyant search.
 
     Raises:
         NetError: the net cannot be read.
@@ -251,43 +256,45 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
     metrics = summarise(record, road, solvable(record, road) if search else row.get("solvable"))
     judged = episode_row(record, road, metrics)
     if bool(judged["target_collision"]) == bool(row["target_collision"]):
-        seen = () if stored.signals is None else OFFENCE_COLUMNS  # red lights are unknown without signals
-        row |= _with_red_light(row, {name: judged[name] for name in (*_JUDGED, *seen)}, stored.signals)
-    by_pair = {_pair(x): x for x in collision_rows(record, road, metrics)}
-    for one in collisions:
-        if _pair(one) in by_pair:
-            verdict = {name: by_pair[_pair(one)][name] for name in _OF_COLLISIONS}
-            one |= _with_red_light(one, verdict, stored.signals)
+        offences = () if stored.signals is None else OFFENCE_COLUMNS  # running a red light needs the signals
+        verdict = {name: judged[name] for name in (*_EPISODE_VERDICTS, *offences)}
+        row |= _with_red_light(row, verdict, stored.signals)
+    judged_by_key = {_collision_key(x): x for x in collision_rows(record, road, metrics)}
+    for collision in collisions:
+        key = _collision_key(collision)
+        if key in judged_by_key:
+            verdict = {name: judged_by_key[key][name] for name in _COLLISION_VERDICTS}
+            collision |= _with_red_light(collision, verdict, stored.signals)
     return JudgedRows(row, collisions)
 
 
 def _with_red_light(
-    before: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table | None
+    stored: Mapping[str, Any], judged: dict[str, Any], signals: pa.Table | None
 ) -> dict[str, Any]:
-    """Return what was *judged*, with the red light that the run saw where its signals were not kept."""
-    reason = str(before.get("fault_reason") or "")
+    """Return *judged*, corrected for a red light that the run noticed, if the signals were not stored."""
+    reason = str(stored.get("fault_reason") or "")
     if signals is not None or not reason.endswith(f"{ON_RED}."):
         return judged
     by_target = reason.startswith("The target")
     side = "target_breaches" if by_target else "other_breaches"
     breaches = [x for x in str(judged[side] or "").split(", ") if x and x != BreachKind.RIGHT_OF_WAY]
-    corrected = {name: before[name] for name in ("at_fault", "fault_reason")}
+    corrected = {name: stored[name] for name in ("at_fault", "fault_reason")}
     corrected[side] = ", ".join([str(BreachKind.RED_LIGHT), *breaches])
     corrected["lawful"] = judged["lawful"] if by_target else False
     corrected["valid_failure"] = by_target
     return {**judged, **corrected, "verdict": f"{judged['verdict']} {reason}"}
 
 
-def _judged(
+def _judged_episodes(
     episodes: Iterator[tuple[str, EpisodeTables]], workers: int, search: bool
 ) -> Iterator[tuple[str, JudgedRows]]:
-    """Yield each episode with its verdict, in whatever order they are done."""
+    """Yield the key and the judged rows of each episode, in the order of completion."""
     judge = partial(judge_episode, search=search)
     if workers <= 1:
-        for key, one in episodes:
-            yield key, judge(one)
+        for key, episode in episodes:
+            yield key, judge(episode)
         return
-    tasks = ((key, (judge, one)) for key, one in episodes)
+    tasks = ((key, (judge, episode)) for key, episode in episodes)
     yield from ((key, done.result()) for key, done in futures_of(tasks, workers, _one_arrow_thread))
 
 
@@ -300,11 +307,11 @@ def _road(net: Path) -> RoadMap:
     return RoadMap.read(net)
 
 
-def _pair(row: Mapping[str, Any]) -> tuple[Any, ...]:
+def _collision_key(row: Mapping[str, Any]) -> tuple[Any, ...]:
     return row["first"], row["second"], round(float(row["time_s"]), 6)
 
 
-def _net(name: str, folder: Path) -> Path:
+def _found_net(name: str, folder: Path) -> Path:
     path = net_path(name, folder)
     if path is None:
         raise FileError(folder, f"the net {name} is no longer there", "put it back, or beside the tables")
@@ -312,17 +319,17 @@ def _net(name: str, folder: Path) -> Path:
 
 
 def _by_episode(table: pa.Table) -> dict[int, pa.Table]:
-    """Return the rows of each episode, which lie together."""
+    """Return the rows of each episode; the rows of one episode are contiguous."""
     numbers = table["episode"].to_numpy()
     starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return {int(numbers[a]): table.slice(a, b - a).combine_chunks() for a, b in pairwise(starts) if b > a}
 
 
-def _replace(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> None:
+def _write_table(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> None:
     schema = schema_of(columns)
     try:
-        with whole_file(path) as aside:
-            pq.write_table(pa.Table.from_pylist(rows, schema=schema), aside, compression="zstd")
+        with whole_file(path) as temporary:
+            pq.write_table(pa.Table.from_pylist(rows, schema=schema), temporary, compression="zstd")
     except OSError as error:
         remedy = (
             "free some space" if error.errno == errno.ENOSPC else "make its folder one that can be written to"

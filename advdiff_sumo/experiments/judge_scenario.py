@@ -1,4 +1,4 @@
-"""Judges what one road user of a recorded or exported scenario came to, on a net given beside it."""
+"""Judges one road user of a recorded or exported scenario, on a net that is given separately."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
 from advdiff_sumo.report.stored_record import record_of_states
 
 COARSEST_STEP_S = 0.2
-#: What is said of a scenario in JSON.
+#: Columns of a judged scenario in JSON.
 JSON_COLUMNS = (
     *("target_collision", "collision_time_s", "collision_partner", "collision_type", "at_fault"),
     *VERDICT_COLUMNS,
@@ -37,13 +37,13 @@ _EXPORTED = (".xosc", ".cr.xml", ".pkl", ".fcd.xml", ".csv")
 
 @dataclass(frozen=True)
 class Scenario:
-    """Recorded road users, one of whom is judged.
+    """Recorded road users, one of which is judged.
 
     Attributes:
         name: of the scenario.
         source: file or folder it was read from.
         tracks: (A, T) states in the net's frame.
-        target: row of who is judged.
+        target: row of the judged road user.
     """
 
     name: str
@@ -53,23 +53,23 @@ class Scenario:
 
     @property
     def target_id(self) -> str:
-        """Id of who is judged."""
+        """Id of the judged road user."""
         return self.tracks.ids[self.target]
 
 
 def read_scenarios(path: Path, target: str | None = None) -> Iterator[Scenario]:
-    """Yield what *path* holds: a file that was exported here, or the scenes of a driving log.
+    """Yield the scenarios of *path*: one of a file exported by advdiff-sumo, or the scenes of a driving log.
 
     Args:
         path: file, or folder of a log.
-        target: id of who is judged; None: the exported target, or the log's own vehicle.
+        target: id of the judged road user; None: the exported target, or the log's own vehicle.
 
     Raises:
         InputError: it cannot be read, its instants are too far apart, or there is no such road user.
     """
     imported = _imported(path)
     if imported is not None:
-        ending = next(one for one in _EXPORTED if path.name.endswith(one))
+        ending = next(suffix for suffix in _EXPORTED if path.name.endswith(suffix))
         yield _scenario(path.name.removesuffix(ending), path, imported.tracks, imported.target, target)
         return
     for scene in open_log(path).scenes():
@@ -78,11 +78,11 @@ def read_scenarios(path: Path, target: str | None = None) -> Iterator[Scenario]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a scenario came to.
+    """The judgement of a scenario.
 
     Attributes:
         metrics: of the target.
-        row: the same by the names of the columns of ``episodes.parquet``.
+        row: the same by column of ``episodes.parquet``.
     """
 
     metrics: EpisodeMetrics
@@ -94,71 +94,73 @@ class Judgement:
 
 
 def judge_scenario(scenario: Scenario, road: RoadMap, search: bool = False) -> Judgement:
-    """Return what came of the target of *scenario* on *road*; without signals and routes, which scenarios lack.
+    """Judge the target of *scenario* on *road*, without signals and routes, which scenarios lack.
 
     Args:
         scenario: the recorded road users.
         road: the net that they drove on.
-        search: ask the clairvoyant search of a collision.
+        search: run the clairvoyant search if the target collides.
 
     Raises:
-        FileError: the target is off that net most of the time.
+        FileError: the target is off the road of that net most of the time.
         WeightsError: the search has no weights.
     """
     tracks, row = scenario.tracks, scenario.target
-    there = tracks.valid[row]
-    size = np.broadcast_to(tracks.size_m[row], (int(there.sum()), 2))
-    boxes = corners(tracks.xy_m[row, there], tracks.yaw_rad[row, there], size)
+    is_present = tracks.valid[row]
+    sizes_m = np.broadcast_to(tracks.size_m[row], (int(is_present.sum()), 2))
+    boxes = corners(tracks.xy_m[row, is_present], tracks.yaw_rad[row, is_present], sizes_m)
     if float(np.median(road.off_road_share(boxes))) > 0.5:
         raise FileError(
             scenario.source,
             f"'{scenario.target_id}' is off the road of {road.path} most of the time",
             "give the net of this scenario, in its frame (advdiff-sumo convert)",
         )
-    at = np.flatnonzero(there)
-    present = tracks.window(int(at[0]), int(at[-1]) + 1)
-    record = record_of_states(EpisodeStates(present, row), {}, None)
+    present_steps = np.flatnonzero(is_present)
+    window = tracks.window(int(present_steps[0]), int(present_steps[-1]) + 1)
+    record = record_of_states(EpisodeStates(window, row), {}, None)
     metrics = summarise(record, road, solvable(record, road) if search else None)
     return Judgement(metrics, episode_row(record, road, metrics))
 
 
 def outcome(metrics: EpisodeMetrics) -> str:
-    """Return what came of it, and which rules the target broke of itself, as text for people."""
-    came, broke = _came_of(metrics), offences_sentence(metrics.offences)
-    return f"{came.rstrip('.')}. {broke}" if broke else came
+    """Return the outcome and the rules that the target broke, as text for people."""
+    sentence, offences = _outcome(metrics), offences_sentence(metrics.offences)
+    return f"{sentence.rstrip('.')}. {offences}" if offences else sentence
 
 
-def _came_of(metrics: EpisodeMetrics) -> str:
+def _outcome(metrics: EpisodeMetrics) -> str:
     if metrics.struck is not None:
         verdict = metrics.struck.verdict
-        usual = "unavoidable" if verdict.unavoidable else "not counted"
-        counts = "valid failure" if verdict.valid_failure else usual
-        return f"{verdict.kind} at {metrics.struck.collision.time_s:.1f} s, {counts}. {verdict.sentence}"
+        discounted = "unavoidable" if verdict.unavoidable else "not counted"
+        label = "valid failure" if verdict.valid_failure else discounted
+        return f"{verdict.kind} at {metrics.struck.collision.time_s:.1f} s, {label}. {verdict.sentence}"
     if metrics.left_road is not None:
         return f"left the road at {metrics.left_road.time_s:.1f} s, valid failure"
-    missed = metrics.near_miss
-    if missed is not None and missed.critical:
-        braking = f"a careful driver would have had to brake at {missed.brake_mps2:.2f} m/s²"
-        return f"critical at {missed.time_s:.1f} s: {braking}; {resolved(missed.resolved_by)}"
+    near_miss = metrics.near_miss
+    if near_miss is not None and near_miss.critical:
+        braking = f"a careful driver would have had to brake at {near_miss.brake_mps2:.2f} m/s²"
+        return f"critical at {near_miss.time_s:.1f} s: {braking}; {resolved(near_miss.resolved_by)}"
     return "no collision"
 
 
 def _imported(path: Path) -> ImportedScene | None:
-    """Return the scene of a file that was exported here; None where it is none, or by others."""
+    """Return the scene of a file exported by advdiff-sumo; None for any other file or folder."""
     if not path.is_file() or not path.name.endswith(_EXPORTED):
         return None
     try:
         return import_scene(path)
     except FileError:
         if path.name.endswith((".cr.xml", ".pkl")):
-            return None  # of others: a log
+            return None  # written by other software: read as a log
         raise
 
 
-def _scenario(name: str, source: Path, tracks: Tracks, usual: int, asked: str | None) -> Scenario:
+def _scenario(
+    name: str, source: Path, tracks: Tracks, default_target: int, target_id: str | None
+) -> Scenario:
     if tracks.dt_s > COARSEST_STEP_S:
         problem = f"has a state every {tracks.dt_s:g} s, too seldom to see collisions"
         raise FileError(source, problem, f"give one with a state every {COARSEST_STEP_S:g} s or more often")
-    if asked is not None and asked not in tracks.index:
-        raise FileError(source, f"has no road user '{asked}'", did_you_mean(asked, tracks.ids))
-    return Scenario(name, source, tracks, usual if asked is None else tracks.index[asked])
+    if target_id is not None and target_id not in tracks.index:
+        raise FileError(source, f"has no road user '{target_id}'", did_you_mean(target_id, tracks.ids))
+    return Scenario(name, source, tracks, default_target if target_id is None else tracks.index[target_id])

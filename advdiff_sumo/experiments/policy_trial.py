@@ -20,7 +20,7 @@ from advdiff_sumo.experiments.check_results import (
     CheckResult,
     contract_results,
     drives_results,
-    evenly,
+    evenly_spaced,
     in_time,
 )
 from advdiff_sumo.maps import RoadMap
@@ -125,7 +125,9 @@ def _instants(seen: Sequence[PlanningInstant]) -> dict[str, PlanningInstant]:
     """Return instants of the episodes, evenly taken, and hard ones made of the first."""
     if not seen:
         return {}
-    picked = {f"{k}, {one.scene.time_s:.1f} s into an episode": one for k, one in enumerate(evenly(seen), 1)}
+    picked = {
+        f"{k}, {one.scene.time_s:.1f} s into an episode": one for k, one in enumerate(evenly_spaced(seen), 1)
+    }
     first = seen[0]
     hard = hard_scenes_of_traffic(first.scene)
     return picked | {name: PlanningInstant(scene, _fitting(first, scene)) for name, scene in hard.items()}

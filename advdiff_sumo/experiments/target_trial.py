@@ -20,7 +20,7 @@ from advdiff_sumo.experiments.check_results import (
     checked_in_worker,
     contract_results,
     drives_results,
-    evenly,
+    evenly_spaced,
     in_time,
 )
 from advdiff_sumo.maps import RoadMap
@@ -183,5 +183,5 @@ def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
     """Return scenes out of the drives, evenly taken, and hard ones made of the first."""
     if not scenes:
         return {}
-    picked = {f"at {scene.time_s:.1f} s of a drive": scene for scene in evenly(scenes)}
+    picked = {f"at {scene.time_s:.1f} s of a drive": scene for scene in evenly_spaced(scenes)}
     return picked | hard_scenes(scenes[0])

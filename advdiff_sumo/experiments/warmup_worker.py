@@ -101,7 +101,7 @@ def _learnt(
 def _learn_failures(options: RunOptions, steps: int, out: Path, tell: Tell) -> list[str]:
     from advdiff_sumo.experiments.failure_warmup import (
         header,
-        promises,
+        failure_probabilities,
         warm_up_failures,
     )  # late: the worker's
     from advdiff_sumo.models.failure_predictor import save_failures
@@ -109,7 +109,7 @@ def _learn_failures(options: RunOptions, steps: int, out: Path, tell: Tell) -> l
     done = warm_up_failures(options, steps, tell)
     save_failures(done.predictor, out, header(options, done))
     met = f"{counted(len(done.outcomes), 'encounter')}, {counted(done.failures, 'valid failure')}"
-    likely = ", ".join(f"{kind} {share:.0%}" for kind, share in promises(done.predictor).items())
+    likely = ", ".join(f"{kind} {share:.0%}" for kind, share in failure_probabilities(done.predictor).items())
     return [
         f"{counted(done.plans, 'plan')} in {counted(done.episodes, 'episode')}, {met}",
         f"expected to fail in: {likely}",

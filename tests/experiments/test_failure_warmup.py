@@ -16,7 +16,7 @@ from advdiff_sumo.experiments.failure_warmup import (
     MetEncounters,
     header,
     meet,
-    promises,
+    failure_probabilities,
     warm_up_failures,
     with_room,
 )
@@ -82,8 +82,8 @@ def test_who_brakes_weakly_is_told_from_who_brakes_well() -> None:
     assert header(options(), weak)["failures"] == weak.failures
     sound = meet(options(horizon_s=EPISODE_S, scene=SCENE.model_dump()), prior(), 28, nothing)
     assert sound.failures == 0
-    assert promises(sound.predictor)["hard-stop"] < promises(prior())["hard-stop"]
-    assert promises(sound.predictor)["hard-stop"] < promises(weak.predictor)["hard-stop"]
+    assert failure_probabilities(sound.predictor)["hard-stop"] < promises(prior())["hard-stop"]
+    assert failure_probabilities(sound.predictor)["hard-stop"] < promises(weak.predictor)["hard-stop"]
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_failures_are_whole_ones() -> None:
 
 
 def test_the_shipped_prior_expects_little_of_what_it_has_not_met() -> None:
-    promised = promises(prior())
+    promised = failure_probabilities(prior())
     assert set(promised) == set(KINDS)
     assert list(promised.values()) == sorted(promised.values(), reverse=True)
     assert all(0.005 < share < 0.5 for share in promised.values())

@@ -110,9 +110,8 @@ def meet(
         features = np.concatenate((features, features_of(ended)))
         encounter_outcomes = np.concatenate((encounter_outcomes, new_outcomes))
         plans_made, episodes = plans_made + len(log.plans), episodes + 1
-        predictor = (
-            prior.adapted(features, encounter_outcomes) if learns and len(encounter_outcomes) else prior
-        )
+        can_learn = learns and len(encounter_outcomes) > 0
+        predictor = prior.adapted(features, encounter_outcomes) if can_learn else prior
         idle_episodes = 0 if log.plans else idle_episodes + 1
         if idle_episodes >= _MAX_IDLE_EPISODES and record.failure is not None:
             raise EpisodeFailure(
@@ -131,16 +130,12 @@ def with_room(scenes: Iterable[SeedScene]) -> Iterator[SeedScene]:
     """
     skipped = 0
     for scene in scenes:
-        history, target_row = scene.history, scene.history.index[scene.target]
-        local_xy_m = local_from_world(
-            history.xy_m[:, -1], history.xy_m[target_row, -1], history.yaw_rad[target_row, -1]
-        )
+        history, target = scene.history, scene.history.index[scene.target]
+        offset = local_from_world(history.xy_m[:, -1], history.xy_m[target, -1], history.yaw_rad[target, -1])
         is_near = (
-            (local_xy_m[:, 0] > 0.0)
-            & (local_xy_m[:, 0] < _FREE_AHEAD_M)
-            & (np.abs(local_xy_m[:, 1]) < _FREE_ASIDE_M)
+            (offset[:, 0] > 0.0) & (offset[:, 0] < _FREE_AHEAD_M) & (np.abs(offset[:, 1]) < _FREE_ASIDE_M)
         )
-        is_near[target_row] = False
+        is_near[target] = False
         skipped += 1
         if not (is_near & history.valid[:, -1]).any() or skipped > _MAX_SKIPPED:
             skipped = 0

@@ -89,9 +89,7 @@ def rows_of_folder(folder: Path) -> FolderRows:
         )
     store = Store.open(folder)
     plan = stored_plan(store)
-    missing = (
-        tables_of(store, plan) + plan.wanted - len(plan.jobs)
-    )  # of a diverse sweep, not all are chosen yet
+    missing = tables_of(store, plan) + plan.wanted - len(plan.jobs)  # a diverse sweep has not chosen all yet
     return rows_of_sweep(store, plan, missing)
 
 
@@ -125,7 +123,7 @@ def rows_of_sweep(store: Store, plan: SweepPlan, missing: int) -> FolderRows:
 
 
 def _of_run(folder: Path) -> FolderRows:
-    run = stored_run(folder, planner=LaneGraphPlanner())  # is not called
+    run = stored_run(folder, planner=LaneGraphPlanner())  # the planner is not called
     plan, run_folder = plan_run(run), RunFolder(folder)
     stored_episodes = run_folder.episodes()
     jobs = {job.number: job for job in plan.jobs}

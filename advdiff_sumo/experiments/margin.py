@@ -1,8 +1,8 @@
 """The margin of a seed scene: the least severe encounter that makes a target fail validly, by bisection.
 
-Each kind of attack has severities (``SCALES``): how hard somebody brakes, with what gap somebody cuts in, how long
-before the target somebody crosses, how late a leader reveals somebody who stands. The seed scene, the place and who
-attacks stay the same.
+Each kind of attack has scales of severity (``SCALES``): the deceleration of a braking vehicle, the gap of a cut-in,
+the time by which a crossing vehicle precedes the target, or how late a leader's cut-out reveals a standing vehicle.
+The seed scene, the place and the attacker stay the same.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
 )
 
 EVERY_ATTACK = "all"
-_OFF_THE_ROAD = "it leaves the road by itself and touches nobody"
+_LEAVES_ROAD = "it leaves the road by itself and touches nobody"
 _REMEDY = "raise scene.min_speed_mps or choose a scene.situation with --set, or take another --seed or --net"
-_BESIDE_THE_ATTACK = "it collides with somebody who does nothing against it"
+_HITS_BYSTANDER = "it collides with somebody who does nothing against it"
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A severity of an attack.
+    """A scale of severity of an attack.
 
     Attributes:
         by: its name on the command line.
         option: of the background ``scripted``.
         unit: of its values.
-        mildest: value at which hardly anybody fails.
-        severest: value at the other end; less than the mildest where a small one is severe.
-        within: how near the two neighbours come, if nobody says otherwise.
-        words: what a value is.
+        mildest: value at which hardly any planner fails.
+        severest: value at the other end; below the mildest if small values are severe.
+        within: default distance of the passing and the failing value at the end of the bisection.
+        words: template of a value in words.
     """
 
     by: str
@@ -71,14 +71,14 @@ SCALES: Mapping[str, tuple[Scale, ...]] = {
     "crossing": (TIME,),
     "cut-out": (REVEAL,),
 }
-"""Kind of attack → its severities, the first one unless another is asked for."""
+"""Kind of attack → its scales of severity; the first is the default."""
 
 
 def scale_of(attack: str, by: str | None = None) -> Scale:
-    """Return the severity called *by* of *attack*; None: its first.
+    """Return the scale named *by* of *attack*; None: its first.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the attack has no such scale, or none at all.
     """
     if attack not in SCALES:
         raise ConfigError(
@@ -92,14 +92,14 @@ def scale_of(attack: str, by: str | None = None) -> Scale:
 
 @dataclass(frozen=True)
 class Trial:
-    """An episode with one severity.
+    """An episode with one value of severity.
 
     Attributes:
         value: of the severity.
-        failed: whether the target failed validly.
-        met: whether the encounter took place at all; where it failed, whether it met who attacks, and nobody else.
-        left_road: whether it failed by leaving the road, which it does without colliding with anybody.
-        lacks: why no encounter took place, in words; "" where that is not known.
+        failed: whether it ended in a valid failure.
+        met: without failure: whether the encounter took place. With one: whether the attacker was involved in it.
+        left_road: whether the target failed by leaving the road, without a collision.
+        lacks: why no encounter took place, in words; "" if that is not known.
     """
 
     value: float
@@ -110,25 +110,25 @@ class Trial:
 
     @property
     def outcome(self) -> str:
-        """What came of it, in words."""
+        """Its outcome, in words."""
         if self.failed:
             return "valid failure" if self.met else f"valid failure, but {self.apart}"
         return "no valid failure" if self.met else "no encounter"
 
     @property
     def apart(self) -> str:
-        """How it fails where it does not meet who attacks, in words."""
-        return _OFF_THE_ROAD if self.left_road else _BESIDE_THE_ATTACK
+        """How the target failed without involvement of the attacker, in words."""
+        return _LEAVES_ROAD if self.left_road else _HITS_BYSTANDER
 
 
 @dataclass(frozen=True)
 class Margin:
-    """What a bisection came to; at least one of the two is known.
+    """The result of a bisection; at least one of *passes* and *fails* is known.
 
     Attributes:
-        passes: severest trial that the target coped with; None: it failed at the mildest.
-        fails: mildest trial in which it failed; None: it coped with the severest.
-        trials: in their order.
+        passes: the severest passed trial below *fails*; None: the target failed at the mildest value.
+        fails: the mildest failed trial of the bisection; None: the target passed at the severest value.
+        trials: in the order in which they were run.
     """
 
     passes: Trial | None
@@ -137,24 +137,24 @@ class Margin:
 
     @property
     def neighbours(self) -> tuple[Trial, ...]:
-        """The failing and the passing one that lie side by side, as far as there are both."""
+        """The failing and the passing trial that are adjacent, as far as they exist."""
         return tuple(trial for trial in (self.fails, self.passes) if trial is not None)
 
     @property
     def is_known(self) -> bool:
-        """Whether it is a margin or a bound of one; not where the severest attack did not take place."""
+        """Whether the margin or a bound of it is known; it is not if the severest attack did not take place."""
         return self.fails is not None or (self.passes is not None and self.passes.met)
 
     def text(self, attack: str, scale: Scale) -> str:
-        """Return the margin of *attack* in a sentence's end."""
+        """Return the margin of *attack* as the predicate of a sentence."""
         if self.fails is None and self.passes is not None:
             if not self.is_known:
-                why = f": {self.passes.lacks}" if self.passes.lacks else ""
-                return f"nobody was in a position for {attack}{why}; {_REMEDY}"
+                reason = f": {self.passes.lacks}" if self.passes.lacks else ""
+                return f"nobody was in a position for {attack}{reason}; {_REMEDY}"
             return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
         if self.passes is None and self.fails is not None:
-            other = "" if self.fails.met else f": {self.fails.apart}"
-            return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}{other}"
+            explanation = "" if self.fails.met else f": {self.fails.apart}"
+            return f"fails at the mildest {attack} already, {scale.text(self.fails.value)}{explanation}"
         passes, fails = (
             scale.text(trial.value) + ("" if trial.met else f" ({trial.outcome})")
             for trial in reversed(self.neighbours)
@@ -163,33 +163,34 @@ class Margin:
 
 
 def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = None) -> Margin:
-    """Return where a target begins to fail between the mildest and the severest value of *scale*.
+    """Find where a target begins to fail between the mildest and the severest value of *scale*.
 
-    The ends are tried first, then values on a grid. Where it fails in several stretches, one beginning is found.
+    The ends are tried first, then values on a grid. If it fails in several separate ranges, one of their limits is
+    found.
 
     Args:
-        run: makes the trial of a value.
-        scale: the severity.
-        within: how near the neighbours come, in its unit; None: as the scale says.
+        run: runs the trial of a value.
+        scale: of the severity.
+        within: distance of the neighbouring values at the end, in the scale's unit; None: the scale's default.
     """
     trials: list[Trial] = []
     span, step_size = scale.severest - scale.mildest, within or scale.within
     steps = max(math.ceil(abs(span) / step_size - 1e-9), 1)
 
-    def tried(step: int) -> Trial:
-        back = min((steps - step) * step_size, abs(span))  # a grid that begins at the severest
-        trials.append(run(round(scale.severest - math.copysign(back, span), 6)))
+    def run_step(step: int) -> Trial:
+        below_severest = min((steps - step) * step_size, abs(span))  # the grid begins at the severest value
+        trials.append(run(round(scale.severest - math.copysign(below_severest, span), 6)))
         return trials[-1]
 
-    high, fails = steps, tried(steps)
+    high, fails = steps, run_step(steps)
     if not fails.failed:
         return Margin(fails, None, tuple(trials))
-    low, passes = 0, tried(0)
+    low, passes = 0, run_step(0)
     if passes.failed:
         return Margin(None, passes, tuple(trials))
     while high - low > 1:
         middle = (low + high) // 2
-        trial = tried(middle)
+        trial = run_step(middle)
         if trial.failed:
             high, fails = middle, trial
         else:

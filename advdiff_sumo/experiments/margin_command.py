@@ -1,4 +1,4 @@
-"""The command line that repeats a margin, from the options that it came to."""
+"""Composes the command line that repeats a margin, from its options."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.sim.run_episodes import RunOptions
 
 _OUT = "../again"
-#: Text that a ``--set`` takes as it is, which TOML has no other reading of.
-_PLAIN = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z][\w./:-]*")
-_USUAL: Mapping[str, Any] = {"background": "scripted", "background_options": {"attackers": 1}}
-_SAID = ("net", "target", "demand", "horizon_s", "seed", "episodes")
+#: Text that needs no quotes in ``--set``, as TOML would not read it as another value.
+_UNQUOTED = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z][\w./:-]*")
+_MARGIN_DEFAULTS: Mapping[str, Any] = {"background": "scripted", "background_options": {"attackers": 1}}
+_WITH_FLAG = ("net", "target", "demand", "horizon_s", "seed", "episodes")
 
 
 def margin_command(
@@ -26,9 +26,9 @@ def margin_command(
 
     Args:
         options: of the run with background ``scripted``; files are named by their full paths.
-        attack: the kind, or all.
-        by: severity that was asked for.
-        within: how near its neighbours shall be, in its unit.
+        attack: its kind, or all.
+        by: name of the scale, if it was given.
+        within: distance of the neighbouring values, in the scale's unit, if it was given.
     """
     target_options = dict(options.target_options)
     defects = target_options.get("defects")
@@ -54,18 +54,19 @@ def margin_command(
 
 
 def _assignments(options: RunOptions) -> Iterator[str]:
-    """Yield what ``--set`` takes of all that is not as usual and has no flag."""
-    values = options.model_dump(mode="json", exclude=set(_SAID))
-    usual = dict(_leaves(RunOptions().model_dump(mode="json") | dict(_USUAL)))
+    """Yield the arguments of ``--set``: options that differ from the defaults and have no flag of their own."""
+    values = options.model_dump(mode="json", exclude=set(_WITH_FLAG))
+    defaults = dict(_leaves(RunOptions().model_dump(mode="json") | dict(_MARGIN_DEFAULTS)))
     if options.scenes:
         values["scenes"] = str(Path(options.scenes).resolve())
     for name, value in _leaves(values):
-        if value is not None and usual.get(name) != value:
-            plain = isinstance(value, str) and _PLAIN.fullmatch(value)
-            yield f"{name}={value if plain else json.dumps(value, ensure_ascii=False)}"
+        if value is not None and defaults.get(name) != value:
+            is_unquoted = isinstance(value, str) and _UNQUOTED.fullmatch(value)
+            yield f"{name}={value if is_unquoted else json.dumps(value, ensure_ascii=False)}"
 
 
 def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings by their dotted names."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{prefix}{name}.")

@@ -1,4 +1,4 @@
-"""Why nobody was in a position to attack in an episode, as far as its record tells."""
+"""Explains from an episode's record why no vehicle was in a position to attack."""
 
 from __future__ import annotations
 
@@ -25,27 +25,31 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     STOPS_FROM_MPS,
 )
 
-_SHORT_S = 6.0
-"""Who has come in drives ordinarily at first."""
-_BRIEF_S = 10.0
-"""Leaders first open or close the gap, so that this may be too short, too, where nothing else was lacking."""
-_FROM_AHEAD = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
+_LEAD_IN_S = 6.0
+"""Inserted vehicles drive without attacking at first: shorter episodes leave no time for an attack."""
+_SHORT_EPISODE_S = 10.0
+"""Leaders adjust their gap before they attack: an episode below this may be too short, if nothing else explains it."""
+_BY_LEADER = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
 
 
 def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
-    """Return what an episode lacked in which nobody was in a position for *attack*, in words.
+    """Return in words why no vehicle was in a position for *attack* in an episode.
 
     Args:
         attack: its kind.
-        row: of ``episodes``.
+        row: of the episode in ``episodes``.
         states: of the episode.
     """
-    reasons = [*_of_target(states), *_of_others(attack, states), *_of_time(row, _SHORT_S)]
-    reasons = reasons or [*_of_time(row, _BRIEF_S)]
+    reasons = [
+        *_target_reasons(states),
+        *_traffic_reasons(attack, states),
+        *_duration_reasons(row, _LEAD_IN_S),
+    ]
+    reasons = reasons or [*_duration_reasons(row, _SHORT_EPISODE_S)]
     return in_series(reasons) if reasons else "the record does not tell what was lacking"
 
 
-def _of_target(states: EpisodeStates) -> Iterator[str]:
+def _target_reasons(states: EpisodeStates) -> Iterator[str]:
     fastest = float(np.nanmax(states.tracks.speed_mps[states.target]))
     if fastest < AS_GOOD_AS_STANDS_MPS:
         yield "the target stood"
@@ -53,9 +57,9 @@ def _of_target(states: EpisodeStates) -> Iterator[str]:
         yield f"the target drove at most {fastest:.1f} m/s"
 
 
-def _of_others(attack: str, states: EpisodeStates) -> Iterator[str]:
-    ahead, beside = _places(states)
-    if attack in _FROM_AHEAD and not ahead.any():
+def _traffic_reasons(attack: str, states: EpisodeStates) -> Iterator[str]:
+    ahead, beside = _ahead_and_beside(states)
+    if attack in _BY_LEADER and not ahead.any():
         yield f"nobody was straight ahead of it within {LEADS_M:g} m"
     elif attack in STOPPING_KINDS:
         fastest = float(states.tracks.speed_mps[ahead].max())
@@ -65,20 +69,20 @@ def _of_others(attack: str, states: EpisodeStates) -> Iterator[str]:
         yield f"nobody drove beside it within {AHEAD_M:g} m"
 
 
-def _places(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
-    """Return (A, T) who was ahead in the target's lane, and who on a lane beside, as if the road went straight on."""
+def _ahead_and_beside(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
+    """Return which vehicles (A, T) were ahead in the target's lane and which beside it, assuming a straight road."""
     tracks, target = states.tracks, states.target
     yaw = tracks.yaw_rad[target]
-    place = local_from_world(tracks.xy_m, tracks.xy_m[target], yaw)
-    along, aside = place[..., 0], np.abs(place[..., 1])
-    same = np.cos(tracks.yaw_rad - yaw) > SAME_WAY
-    same[target] = False
-    ahead = same & (along > 0.0) & (along < LEADS_M) & (aside < IN_LANE_M)
-    near = same & (along > BEHIND_M) & (along < AHEAD_M)
-    return ahead, near & (aside > IN_LANE_M) & (aside < BESIDE_M)
+    offset = local_from_world(tracks.xy_m, tracks.xy_m[target], yaw)
+    along_m, aside_m = offset[..., 0], np.abs(offset[..., 1])
+    same_direction = np.cos(tracks.yaw_rad - yaw) > SAME_WAY
+    same_direction[target] = False
+    ahead = same_direction & (along_m > 0.0) & (along_m < LEADS_M) & (aside_m < IN_LANE_M)
+    is_near = same_direction & (along_m > BEHIND_M) & (along_m < AHEAD_M)
+    return ahead, is_near & (aside_m > IN_LANE_M) & (aside_m < BESIDE_M)
 
 
-def _of_time(row: Mapping[str, Any], least_s: float) -> Iterator[str]:
+def _duration_reasons(row: Mapping[str, Any], least_s: float) -> Iterator[str]:
     if row["duration_s"] < least_s:
-        why = "--horizon" if row["end"] == EndReason.HORIZON else row["end"]
-        yield f"the episode lasted {row['duration_s']:.1f} s ({why})"
+        end = "--horizon" if row["end"] == EndReason.HORIZON else row["end"]
+        yield f"the episode lasted {row['duration_s']:.1f} s ({end})"

@@ -1,4 +1,4 @@
-"""The episodes of a margin: one seed scene with attacks of several severities, in one folder that can be resumed."""
+"""Runs the episodes of a margin: one seed scene, attacks of several severities, one folder that can be resumed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
 _RETRIES = 1
-#: File that says whose margin a folder holds.
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,9 @@ class MarginOf:
     """The margin of one attack.
 
     Attributes:
-        attack: the kind.
-        scale: its severity.
-        margin: what the bisection came to.
+        attack: its kind.
+        scale: of its severity.
+        margin: the result of the bisection.
     """
 
     attack: str
@@ -46,7 +45,7 @@ class MarginOf:
     margin: Margin
 
     def summary(self) -> dict[str, Any]:
-        """Return the margin as plain values; a value that is not known is None."""
+        """Return the margin as plain values; unknown ones are None."""
         fails, passes = self.margin.fails, self.margin.passes if self.margin.is_known else None
         return {
             "attack": self.attack,
@@ -59,12 +58,12 @@ class MarginOf:
 
 
 class MarginTrials(AbstractContextManager["MarginTrials"]):
-    """Episodes of one seed scene in one folder; those that are there are not run again.
+    """Runs episodes of one seed scene in one folder; episodes that it already holds are not run again.
 
     Args:
-        options: of a run with background ``scripted``, less attack and severity.
+        options: of a run with background ``scripted``, without attack and severity.
         folder: of the results.
-        limits: of a worker.
+        limits: of the worker.
 
     Raises:
         FileError: the folder holds a sweep.
@@ -82,37 +81,37 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         self._executor.__exit__(kind, error, trace)
 
     def run(self, attack: str, scale: Scale, value: float) -> Trial:
-        """Return what comes of *attack* with this *value* of *scale*.
+        """Run *attack* with this *value* of *scale*, or read its stored episode.
 
         Raises:
-            EpisodeFailure: the episode did not get to its end.
+            EpisodeFailure: the episode did not finish.
             InputError: a name is unknown, or there is no seed scene.
         """
         plan = self._plan([(attack, scale, value)])
-        part = self._run(plan).read(plan.jobs[0].key)
-        if part is None or part.failed is not None:
-            why = "" if part is None or part.failed is None else part.failed.message
-            raise EpisodeFailure(f"the episode with {scale.text(value)} failed: {why}; see {self._folder}")
-        (row,) = part.tables["episodes"].to_pylist()
+        stored = self._run(plan).read(plan.jobs[0].key)
+        if stored is None or stored.failed is not None:
+            reason = "" if stored is None or stored.failed is None else stored.failed.message
+            raise EpisodeFailure(f"the episode with {scale.text(value)} failed: {reason}; see {self._folder}")
+        (row,) = stored.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
         met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
-        states = None if failed or met else states_of(part.tables["states"])
+        states = None if failed or met else states_of(stored.tables["states"])
         lacks = "" if states is None else lacking(attack, row, states)
         return Trial(value, failed, met, left_road, lacks)
 
     def keep(self, margins: Sequence[MarginOf], command: str) -> None:
-        """Put the neighbours' episodes into the folder's tables, each failing one first, and all trials into a file.
+        """Write tables of the neighbouring trials, each failing one first, and a file of all trials.
 
         Args:
             margins: of the attacks.
-            command: repeats them.
+            command: the command line that repeats them.
         """
-        kept = [(m.attack, m.scale, trial.value) for m in margins for trial in m.margin.neighbours]
-        plan = self._plan(kept)
+        neighbours = [(m.attack, m.scale, trial.value) for m in margins for trial in m.margin.neighbours]
+        plan = self._plan(neighbours)
         store = self._run(plan)
         consolidate(store, plan)
-        episodes = {(attack, scale.by, value): k for k, (attack, scale, value) in enumerate(kept)}
+        episodes = {(attack, scale.by, value): k for k, (attack, scale, value) in enumerate(neighbours)}
         rows = [row for m in margins for row in _rows(m, episodes)]
         write_whole(self._folder / COMMAND, f"{command}\n".encode())
         write_whole(self._folder / TRIALS, trials_text(rows).encode())
@@ -142,7 +141,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         return plan_sweep(SweepSpec.of(values, "the margin"))
 
     def _must_be_own(self) -> None:
-        """Refuse a folder whose sweep is no margin, or that of something else."""
+        """Refuse a folder that holds another kind of sweep, or the margin of other options."""
         marker = self._folder / SUBJECT
         if marker.is_file():
             if marker.read_bytes() != self._subject:
@@ -155,14 +154,13 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
     def _run(self, plan: SweepPlan) -> Store:
         store = open_bench_store(self._folder, plan, 1)
         write_whole(self._folder / SUBJECT, self._subject)
-        run_sweep(
-            plan, store, RemainingJobs.of(plan, store), _Lent(self._executor), _RETRIES, lambda *_: None
-        )
+        executor = _SharedExecutor(self._executor)
+        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, lambda *_: None)
         return store
 
 
-class _Lent(AbstractContextManager["_Lent"]):
-    """Workers that stay, with what they have loaded, when a sweep is over; they end where something went wrong."""
+class _SharedExecutor(AbstractContextManager["_SharedExecutor"]):
+    """An executor whose workers stay alive after a sweep, so that they load networks once; they end after an error."""
 
     def __init__(self, owner: ProcessExecutor) -> None:
         self._owner, self.slots = owner, owner.slots
@@ -173,11 +171,19 @@ class _Lent(AbstractContextManager["_Lent"]):
             self._owner.__exit__(kind, error, trace)
 
 
-def _rows(one: MarginOf, episodes: dict[tuple[str, str, float], int]) -> Iterator[TrialRow]:
-    """Yield the trials of a margin, the mildest first."""
-    mildest_first = sorted(one.margin.trials, key=lambda trial: abs(trial.value - one.scale.mildest))
+def _rows(of_attack: MarginOf, episodes: dict[tuple[str, str, float], int]) -> Iterator[TrialRow]:
+    """Yield the trials of a margin, mildest first."""
+    mildest_first = sorted(
+        of_attack.margin.trials, key=lambda trial: abs(trial.value - of_attack.scale.mildest)
+    )
     for trial in mildest_first:
-        episode = episodes.get((one.attack, one.scale.by, trial.value))
+        episode_number = episodes.get((of_attack.attack, of_attack.scale.by, trial.value))
         yield TrialRow(
-            one.attack, one.scale.by, trial.value, one.scale.unit, trial.met, trial.failed, episode
+            of_attack.attack,
+            of_attack.scale.by,
+            trial.value,
+            of_attack.scale.unit,
+            trial.met,
+            trial.failed,
+            episode_number,
         )

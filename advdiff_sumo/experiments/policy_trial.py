@@ -1,4 +1,4 @@
-"""Whether a background policy may be used: its contract in scenes of real traffic and in hard ones, and its traffic."""
+"""Checks a background policy: its contract in scenes of real traffic and in hard scenes, and its traffic in SUMO."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ IN_TRAFFIC = "in traffic"
 
 @dataclass(frozen=True)
 class PlanningInstant:
-    """A scene in which plans are made, with the log of its episode."""
+    """A scene in which the policy plans or starts, with the log of its episode."""
 
     scene: Scene
     log: Tracks | None
@@ -44,7 +44,7 @@ class PlanningInstant:
 
 @dataclass
 class WatchedPolicy:
-    """A policy whose scenes are kept, also that in which it raises as an episode starts."""
+    """Wraps a policy and stores its scenes, also one in which it raises an error as an episode starts."""
 
     policy: TrafficPolicy
     starts: list[PlanningInstant] = field(default_factory=list)
@@ -56,27 +56,27 @@ class WatchedPolicy:
         return moves_everywhere(self.policy)
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
-        """Keep scene and log, and pass the call on."""
+        """Store scene and log, and pass the call on."""
         self.starts.append(PlanningInstant(scene.copied(), log and log.copied()))
         return self.policy.start(road, scene, log, rng)
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator
     ) -> tuple[JointPlan, Any]:
-        """Keep the scene, and pass the call on."""
+        """Store the scene, and pass the call on."""
         self.plans.append(PlanningInstant(scene.copied(), self.starts[-1].log))
         return self.policy.plan(road, scene, memory, rng)
 
 
 @dataclass(frozen=True)
 class DrivenTraffic:
-    """What the episodes came to.
+    """The results of the episodes.
 
     Attributes:
         records: of the episodes.
-        again: record of the first one, run again.
+        again: record of the first episode, run a second time.
         plans_s: wall-clock seconds of each plan.
-        instants: at which it planned, or began to where it never did.
+        instants: at which the policy planned; if it never did, the starts of the episodes.
     """
 
     records: tuple[EpisodeRecord, ...]
@@ -86,11 +86,11 @@ class DrivenTraffic:
 
 
 def check_background(options: RunOptions, within_ms: float = math.inf) -> list[CheckResult]:
-    """Return the verdicts on the background policy of a run.
+    """Check the background policy of a run.
 
     Args:
-        options: of the run, with the policy, its options, and how many episodes of what length.
-        within_ms: longest median time of a plan.
+        options: of the run: the policy, its options, number and length of the episodes.
+        within_ms: longest permitted median time of a plan.
 
     Raises:
         InputError: there is no such policy, it cannot be made, or the run cannot start.
@@ -104,45 +104,48 @@ def check_background(options: RunOptions, within_ms: float = math.inf) -> list[C
 
 
 def drive_traffic(run: Run) -> DrivenTraffic:
-    """Run the episodes, the first one twice.
+    """Run the episodes; the first one is run twice.
 
     Raises:
         SceneError: there is no seed scene.
     """
     watched = WatchedPolicy(run.policy)
-    starts = run.scene_batch(0, run.options.episodes)
-    if not starts:
+    seed_scenes = run.scene_batch(0, run.options.episodes)
+    if not seed_scenes:
         raise SceneError(run.why_no_scene())
-    ran = [replace(run, policy=watched).episode(k, start).run() for k, start in enumerate(starts)]
-    again, _ = run.episode(0, starts[0]).run()
-    times = np.array([took for _, timing in ran for took in timing.background_plans_s])
+    results = [replace(run, policy=watched).episode(k, start).run() for k, start in enumerate(seed_scenes)]
+    again, _ = run.episode(0, seed_scenes[0]).run()
+    plans_s = np.array([took for _, timing in results for took in timing.background_plans_s])
     return DrivenTraffic(
-        tuple(record for record, _ in ran), again, times, tuple(watched.plans or watched.starts)
+        tuple(record for record, _ in results), again, plans_s, tuple(watched.plans or watched.starts)
     )
 
 
-def _instants(seen: Sequence[PlanningInstant]) -> dict[str, PlanningInstant]:
-    """Return instants of the episodes, evenly taken, and hard ones made of the first."""
-    if not seen:
+def _instants(observed: Sequence[PlanningInstant]) -> dict[str, PlanningInstant]:
+    """Return evenly spaced instants of the episodes, and hard scenes derived from the first; by name."""
+    if not observed:
         return {}
-    picked = {
-        f"{k}, {one.scene.time_s:.1f} s into an episode": one for k, one in enumerate(evenly_spaced(seen), 1)
+    sampled = {
+        f"{k}, {instant.scene.time_s:.1f} s into an episode": instant
+        for k, instant in enumerate(evenly_spaced(observed), 1)
     }
-    first = seen[0]
-    hard = hard_scenes_of_traffic(first.scene)
-    return picked | {name: PlanningInstant(scene, _fitting(first, scene)) for name, scene in hard.items()}
+    first = observed[0]
+    hard_scenes = hard_scenes_of_traffic(first.scene)
+    return sampled | {
+        name: PlanningInstant(scene, _fitting(first, scene)) for name, scene in hard_scenes.items()
+    }
 
 
 def _fitting(first: PlanningInstant, changed: Scene) -> Tracks | None:
-    """Return the log without those whom *changed* has elsewhere."""
+    """Return the log without the road users that *changed* has moved."""
     if first.log is None:
         return None
-    before, now = first.scene.history, changed.history
-    both = [name for name in before.ids if name in now.index]
+    original, altered = first.scene.history, changed.history
+    common_ids = [name for name in original.ids if name in altered.index]
     moved = {
         name
-        for name in both
-        if not np.array_equal(before.xy_m[before.index[name], -1], now.xy_m[now.index[name], -1])
+        for name in common_ids
+        if not np.array_equal(original.xy_m[original.index[name], -1], altered.xy_m[altered.index[name], -1])
     }
     return first.log.rows(np.array([name not in moved for name in first.log.ids], dtype=np.bool_))
 
@@ -152,16 +155,18 @@ def _contract(
 ) -> list[CheckResult]:
     problems = [
         (where, problem)
-        for where, one in instants.items()
-        for problem in policy_problems(policy, road, one.scene.copied(), one.log and one.log.copied())
+        for where, instant in instants.items()
+        for problem in policy_problems(
+            policy, road, instant.scene.copied(), instant.log and instant.log.copied()
+        )
     ]
-    pairs = [(one.scene, one.log) for one in instants.values()]
-    remembers = bool(pairs) and plans_from_memory_of_others(policy, road, pairs)
+    scenes_and_logs = [(instant.scene, instant.log) for instant in instants.values()]
+    remembers = bool(scenes_and_logs) and plans_from_memory_of_others(policy, road, scenes_and_logs)
     return contract_results(PolicyPart, problems, instants, remembers)
 
 
 def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
-    """Return counts of what the contract does not forbid; they are told, not judged."""
+    """Return counts of problems that the contract does not forbid, for information only."""
     faults = [fault for record in records for fault in implausibilities(record, run.road)]
     collisions = sum(fault.what in ("collision", "drove through") for fault in faults)
     departures = sum(fault.what == "off the road" for fault in faults)
@@ -169,17 +174,19 @@ def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
         record.failure is not None and record.failure.kind == PlanRefusedError.kind for record in records
     )
     moved = sum(int((record.controller == Controller.POLICY).any(axis=1).sum()) for record in records)
-    changed, looked_at = np.sum([record.safeguarded for record in records], axis=0).tolist()
-    words = [
+    changed_plans, checked_plans = np.sum([record.safeguarded for record in records], axis=0).tolist()
+    counts = [
         f"{counted(moved, 'vehicle')} moved",
         counted(refused, "refused plan"),
-        f"safeguard changed {changed} of {counted(looked_at, 'plan')}" if looked_at else "no safeguard",
+        f"safeguard changed {changed_plans} of {counted(checked_plans, 'plan')}"
+        if checked_plans
+        else "no safeguard",
         f"{counted(collisions, 'collision')} of background vehicles",
         counted(departures, "road departure"),
     ]
-    clean = not (refused or collisions or departures)
-    remedy = "" if clean else f"; advdiff-sumo run --background {run.names[1]} --check names each"
-    return CheckResult(IN_TRAFFIC, True if clean else None, ", ".join(words) + remedy)
+    is_clean = not (refused or collisions or departures)
+    remedy = "" if is_clean else f"; advdiff-sumo run --background {run.names[1]} --check names each"
+    return CheckResult(IN_TRAFFIC, True if is_clean else None, ", ".join(counts) + remedy)
 
 
 def _in_time(policy: TrafficPolicy, driven: DrivenTraffic, within_ms: float) -> CheckResult:

@@ -1,4 +1,4 @@
-"""Asks the clairvoyant search of a recorded collision, for its verdict."""
+"""Runs the clairvoyant search for a recorded collision, for its verdict."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ if TYPE_CHECKING:
 
 
 def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None = None) -> bool | None:
-    """Return whether a drive is found that avoids the target's first collision with another.
+    """Return whether the search finds a trajectory that avoids the target's first collision with a road user.
 
-    None where there is no such collision, or where its record has another step than the networks that the search
-    begins from.
+    None if there is no such collision, or if the time step of the record does not fit the networks of the search.
 
     Args:
         record: the episode.
         road: its map.
-        options: how long to look.
+        options: of the search.
 
     Raises:
         WeightsError: the networks are missing or unusable.

@@ -1,4 +1,4 @@
-"""Whether a planner may be tested: its contract in scenes of real traffic and in hard ones, and its driving in SUMO."""
+"""Checks a planner: its contract in scenes of real traffic and in hard scenes, and its driving in SUMO."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is tried.
+    """The extent of a check.
 
     Attributes:
-        net: a net's path, or a shipped one's name.
-        episodes: drives in SUMO.
-        horizon_s: length of a drive.
-        within_ms: longest median time of a plan.
+        net: path of a net, or name of a shipped one.
+        episodes: number of episodes in SUMO.
+        horizon_s: duration of an episode.
+        within_ms: longest permitted median time of a plan.
         seed: of traffic and planner.
     """
 
@@ -58,26 +58,26 @@ class Extent:
 
 @dataclass
 class WatchedPlanner:
-    """A planner whose scenes are kept, also that in which it raises as an episode starts."""
+    """Wraps a planner and stores its scenes, also one in which it raises an error as an episode starts."""
 
     planner: Planner
     scenes: list[Scene] = field(default_factory=list)
     starts: list[Scene] = field(default_factory=list)
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
-        """Keep the scene where nothing is planned in it, and pass the call on."""
+        """Store the scene at the episode's start, and pass the call on."""
         self.starts.append(scene.copied())
         return self.planner.start(road, scene, rng)
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Keep the scene, and pass the call on."""
+        """Store the scene, and pass the call on."""
         self.scenes.append(scene.copied())
         return self.planner.plan(road, scene, memory, rng)
 
 
 @dataclass
 class WatchedServedPlanner(WatchedPlanner):
-    """The same of one that something outside this process stands behind, which is told when an episode is over."""
+    """The same for a planner that runs outside this process and is notified at the end of an episode."""
 
     planner: ServedPlanner
 
@@ -96,7 +96,14 @@ class WatchedServedPlanner(WatchedPlanner):
 
 @dataclass(frozen=True)
 class Driven:
-    """What the drives came to."""
+    """The results of the episodes.
+
+    Attributes:
+        records: of the episodes.
+        again: record of the first episode, run a second time.
+        plans_s: wall-clock seconds of each plan.
+        scenes: in which it planned; if it never did, the starts of the episodes.
+    """
 
     records: tuple[EpisodeRecord, ...]
     again: EpisodeRecord
@@ -107,12 +114,14 @@ class Driven:
 def check_in_worker(
     name: str, options: Mapping[str, Any], extent: Extent, limits: WorkerLimits, hear: Callable[[str], None]
 ) -> list[CheckResult]:
-    """Return what :func:`check_target` returns, or one verdict on a planner that ends the process or never comes back.
+    """Run :func:`check_target` in a process of its own and return its results.
+
+    If the planner ends the process or does not return in time, the only result says so.
 
     Args:
-        name: as of ``--target``.
+        name: as for ``--target``.
         options: of the planner.
-        extent: how much is tried.
+        extent: of the check.
         limits: of the worker.
         hear: called with what the planner printed.
 
@@ -123,33 +132,35 @@ def check_in_worker(
 
 
 def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[CheckResult]:
-    """Return the verdicts on the planner *name*.
+    """Check the planner *name*.
 
     Args:
-        name: as of ``--target``.
+        name: as for ``--target``.
         options: of the planner.
-        extent: how much is tried.
+        extent: of the check.
 
     Raises:
         InputError: there is no such planner, or it cannot be made.
         ConfigError: it is one of SUMO's driver models.
     """
-    asked = RunOptions.parse({"target": name, "target_options": dict(options)})
-    planner = target_of(asked)
+    run_options = RunOptions.parse({"target": name, "target_options": dict(options)})
+    planner = target_of(run_options)
     if isinstance(planner, SumoDriver):
         raise ConfigError(f"target '{name}' is driven by SUMO itself: there is no planner to check")
-    check_together(asked, planner)
+    check_together(run_options, planner)
     road = RoadMap.read(find_net(extent.net))
     driven = drive(planner, name, road, extent)
     scenes = _scenes(driven.scenes)
-    problems = [(where, x) for where, scene in scenes.items() for x in problems_of(planner, road, scene)]
+    problems = [
+        (where, problem) for where, scene in scenes.items() for problem in problems_of(planner, road, scene)
+    ]
     contract = contract_results(Part, problems, scenes, carries_over(planner, road, list(scenes.values())))
     drives = drives_results(driven.records, driven.again)
     return [*contract, *drives, in_time(driven.plans_s, extent.within_ms)]
 
 
 def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
-    """Let *planner* drive in SUMO's traffic, the first scene twice."""
+    """Run *planner* in SUMO's traffic; the first episode is run twice."""
     source = NaturalTraffic(
         road,
         None,
@@ -158,13 +169,13 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
         extent.horizon_s,
         SeedTree(extent.seed),
     )
-    starts = source.batch(0)[: extent.episodes]
+    seed_scenes = source.batch(0)[: extent.episodes]
     watched = WatchedServedPlanner(planner) if isinstance(planner, Served) else WatchedPlanner(planner)
-    episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(starts)]
-    again, _ = _episode(0, starts[0], road, planner, name, extent)
-    times = np.array([t for _, plans in episodes for t in plans])
+    episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(seed_scenes)]
+    again, _ = _episode(0, seed_scenes[0], road, planner, name, extent)
+    plans_s = np.array([plan_s for _, plans in episodes for plan_s in plans])
     return Driven(
-        tuple(record for record, _ in episodes), again, times, tuple(watched.scenes or watched.starts)
+        tuple(record for record, _ in episodes), again, plans_s, tuple(watched.scenes or watched.starts)
     )
 
 
@@ -180,8 +191,8 @@ def _episode(
 
 
 def _scenes(scenes: Sequence[Scene]) -> dict[str, Scene]:
-    """Return scenes out of the drives, evenly taken, and hard ones made of the first."""
+    """Return evenly spaced scenes of the episodes, and hard scenes derived from the first; by name."""
     if not scenes:
         return {}
-    picked = {f"at {scene.time_s:.1f} s of a drive": scene for scene in evenly_spaced(scenes)}
-    return picked | hard_scenes(scenes[0])
+    sampled = {f"at {scene.time_s:.1f} s of a drive": scene for scene in evenly_spaced(scenes)}
+    return sampled | hard_scenes(scenes[0])

@@ -1,4 +1,4 @@
-"""Warm-up: the reward model alone is refitted while the tested planner is met for the first time (Sec. III-C)."""
+"""Warm-up: refits only the reward model while the attackers meet a new planner (Sec. III-C)."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from advdiff_sumo.training.guide_adaptation import WarmUp
 from advdiff_sumo.training.presets import RewardOptions
 
 UPDATES_PER_STEP = 2
-_IDLE = 5
-"""After so many episodes in a row that nothing can be learned from a warm-up gives up."""
+_MAX_IDLE_EPISODES = 5
+"""A warm-up fails after this many episodes in a row without anything to learn from."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class DrawnLatents:
     """A plan of the policy.
 
     Attributes:
-        view: the scene it was made for.
+        view: the scene for which it was made.
         latents: (A, Z) of the plan, scaled.
     """
 
@@ -46,13 +46,13 @@ class DrawnLatents:
 
 @dataclass(frozen=True)
 class WarmedUp:
-    """What a warm-up came to.
+    """The result of a warm-up.
 
     Attributes:
         reward: the refitted reward model.
-        steps: plans it learned from.
-        episodes: episodes they were made in.
-        contacts: episodes that ended with the target's collision.
+        steps: number of plans it learned from.
+        episodes: number of episodes.
+        contacts: number of episodes that ended in a collision of the target.
         losses: of the updates.
     """
 
@@ -66,25 +66,25 @@ class WarmedUp:
 def warm_up(
     options: RunOptions,
     steps: int,
-    tell: Callable[[int], None],
+    on_progress: Callable[[int], None],
     marks: Sequence[int] = (),
-    keep: Callable[[int, RewardModel], None] | None = None,
+    on_mark: Callable[[int, RewardModel], None] | None = None,
 ) -> WarmedUp:
-    """Let the diffusion policy meet the target of *options* for *steps* plans, and refit its reward model.
+    """Run episodes of *options* until there are *steps* plans to learn from, and refit the reward model Q.
 
-    After every episode the new experiences join the old ones and Q takes ``UPDATES_PER_STEP`` steps for each of
-    them; the next episode is guided by the new Q. Nothing else of the networks changes.
+    After every episode its experiences are added to the earlier ones, and Q takes ``UPDATES_PER_STEP`` steps for each
+    new experience. The next episode is guided by the new Q. Nothing else of the networks changes.
 
     Args:
-        options: of a run with background "diffusion"; its number of episodes does not count.
-        steps: plans, the paper's interactive steps.
-        tell: called with the steps done after each episode.
-        marks: steps at which *keep* gets a copy of the reward model as it is then.
-        keep: takes these copies.
+        options: of a run with background "diffusion"; its number of episodes is ignored.
+        steps: number of plans, the paper's interactive steps.
+        on_progress: called with the number of plans after each episode.
+        marks: numbers of plans at which *on_mark* gets a copy of the reward model.
+        on_mark: called with the number of plans and the copy.
 
     Raises:
         ConfigError: the background is another one, or is not guided.
-        EpisodeFailure: planner or background fail before anything can be learned, again and again.
+        EpisodeFailure: planner or background fail before anything can be learned, in several episodes in a row.
     """
     run = Run.prepare(options)
     policy = run.policy
@@ -93,53 +93,58 @@ def warm_up(
     policy.networks = policy.networks.guided_by(copy.deepcopy(policy.networks.bundle.reward))
     bundle = policy.networks.bundle
     learner, reward_options = WarmUp(bundle, RewardOptions(), seed=options.seed), RewardOptions()
-    stored: list[Experience] = []
+    collected: list[Experience] = []
     losses: list[float] = []
-    episodes, contacts, idle = 0, 0, 0
+    episodes, contacts, idle_episodes = 0, 0, 0
     for record, plans in _episodes(run, policy):
         episodes += 1
         contacts += int(record.end == "collision")
-        fresh = list(experiences(record, plans, reward_options))[: steps - len(stored)]
-        idle = 0 if fresh else idle + 1
-        if idle >= _IDLE:
-            raise EpisodeFailure(
-                f"{counted(idle, 'episode')} that nothing can be learned from; the last one: {_why(record)}"
-            )
-        for piece in _cut(fresh, len(stored), marks):
-            stored += piece
-            losses += learner.fit(stored, UPDATES_PER_STEP * len(piece))
-            if keep is not None and len(stored) in marks:
-                keep(len(stored), copy.deepcopy(bundle.reward))
+        new_experiences = list(experiences(record, plans, reward_options))[: steps - len(collected)]
+        idle_episodes = 0 if new_experiences else idle_episodes + 1
+        if idle_episodes >= _MAX_IDLE_EPISODES:
+            idle = f"{counted(idle_episodes, 'episode')} that nothing can be learned from"
+            raise EpisodeFailure(f"{idle}; the last one: {_why_nothing(record)}")
+        for chunk in _split(new_experiences, len(collected), marks):
+            collected += chunk
+            losses += learner.fit(collected, UPDATES_PER_STEP * len(chunk))
+            if on_mark is not None and len(collected) in marks:
+                on_mark(len(collected), copy.deepcopy(bundle.reward))
         policy.networks = policy.networks.guided_by(bundle.reward)
-        tell(len(stored))
-        if len(stored) >= steps:
+        on_progress(len(collected))
+        if len(collected) >= steps:
             break
     bundle.reward.eval().requires_grad_(False)
-    return WarmedUp(bundle.reward, len(stored), episodes, contacts, tuple(losses))
+    return WarmedUp(bundle.reward, len(collected), episodes, contacts, tuple(losses))
 
 
-def _why(record: EpisodeRecord) -> str:
+def _why_nothing(record: EpisodeRecord) -> str:
     """Return why there is nothing to learn from *record*."""
     if record.failure is not None:
         return record.failure.message
     return f"it ended after {record.tracks.times_s[-1]:.1f} s ({record.end}); give a longer --horizon"
 
 
-def _cut(fresh: list[Experience], done: int, marks: Sequence[int]) -> Iterator[list[Experience]]:
-    """Yield *fresh* in pieces that end at each of *marks*, which count from the first experience of all."""
-    ends = sorted({mark - done for mark in marks if 0 < mark - done < len(fresh)} | {len(fresh)})
+def _split(added: list[Experience], earlier: int, marks: Sequence[int]) -> Iterator[list[Experience]]:
+    """Yield new experiences in chunks that end at each of *marks*.
+
+    Args:
+        added: the new ones.
+        earlier: number of earlier experiences.
+        marks: numbers of experiences, counted from the first of all.
+    """
+    ends = sorted({mark - earlier for mark in marks if 0 < mark - earlier < len(added)} | {len(added)})
     for start, end in zip([0, *ends], ends, strict=False):
         if start < end:
-            yield fresh[start:end]
+            yield added[start:end]
 
 
 def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecord, list[DrawnLatents]]]:
-    """Yield the records of episodes and the plans that were made in each."""
+    """Yield the record and the plans of each episode."""
     for number, scene in enumerate(run.seed_scenes()):
         plans: list[DrawnLatents] = []
 
-        def keep_plan(view: View, drawn: Drawn, into: list[DrawnLatents] = plans) -> None:
-            into.append(DrawnLatents(view, drawn.latents.cpu()))
+        def keep_plan(view: View, drawn: Drawn, destination: list[DrawnLatents] = plans) -> None:
+            destination.append(DrawnLatents(view, drawn.latents.cpu()))
 
         policy.listener = keep_plan
         try:
@@ -152,21 +157,21 @@ def _episodes(run: Run, policy: DiffusionTraffic) -> Iterator[tuple[EpisodeRecor
 def experiences(
     record: EpisodeRecord, plans: list[DrawnLatents], options: RewardOptions
 ) -> Iterator[Experience]:
-    """Yield what each plan led to within ``options.execute`` model steps, as the record tells.
+    """Yield each plan with its recorded consequences within ``options.execute`` model steps.
 
-    A plan counts when the target is still there then, or has been hit; who has gone coasts on. Its scene knows the
-    target's drive in the next ``options.look`` steps, where the record goes on for so long.
+    A plan counts if the record lasts that long or ends in a collision. Vehicles that have left continue at constant
+    velocity. The scene contains the target's motion of the next ``options.look`` steps, if the record lasts that long.
     """
     for plan in plans:
-        path = _happened(record, plan.view, options.execute)
+        path = _recorded_rollout(record, plan.view, options.execute)
         if path is not None:
             target = torch.zeros(1, dtype=torch.long)
-            state = _with_drive(plan.view.batch, _happened(record, plan.view, options.look))
+            state = _with_target_future(plan.view.batch, _recorded_rollout(record, plan.view, options.look))
             yield observed(state, path, target, plan.latents[None], options)
 
 
-def _with_drive(batch: SceneBatch, path: Rollout | None) -> SceneBatch:
-    """Return *batch* with the target's drive, row 0 of *path*, as its future; unknown where there is no path."""
+def _with_target_future(batch: SceneBatch, path: Rollout | None) -> SceneBatch:
+    """Return *batch* with row 0 of *path* as the target's future; unchanged without a path."""
     if path is None:
         return batch
     future, known = batch.future.clone(), batch.future_valid.clone()
@@ -176,40 +181,45 @@ def _with_drive(batch: SceneBatch, path: Rollout | None) -> SceneBatch:
     return replace(batch, future=future, future_valid=known)
 
 
-def _happened(record: EpisodeRecord, view: View, steps: int) -> Rollout | None:
-    """Return where the agents of *view* were in the next model steps; None where the record ends before."""
+def _recorded_rollout(record: EpisodeRecord, view: View, steps: int) -> Rollout | None:
+    """Return the recorded motion of the agents of *view* in the next model steps; None if the record ends before."""
     tracks = record.tracks
-    now = round((view.scene.time_s - tracks.t0_s) / tracks.dt_s)
+    now_step = round((view.scene.time_s - tracks.t0_s) / tracks.dt_s)
     stride = round(MODEL_STEP_S / tracks.dt_s)
-    at = now + stride * np.arange(1, steps + 1)
+    instants = now_step + stride * np.arange(1, steps + 1)
     if record.end == "collision":
-        at = np.minimum(at, tracks.steps - 1)  # the contact is what the plan led to
-    if at[-1] >= tracks.steps or at[0] <= now:
+        instants = np.minimum(instants, tracks.steps - 1)  # the contact is what the plan led to
+    if instants[-1] >= tracks.steps or instants[0] <= now_step:
         return None
-    states = np.stack([_states(record, view, row, at) for row in range(len(view.ids))])
+    states = np.stack([_states(record, view, row, instants) for row in range(len(view.ids))])
     x = torch.from_numpy(states[None].astype(np.float32))
-    nothing = torch.zeros_like(x[..., 0])
-    return Rollout(x[..., :2], x[..., 2], x[..., 3], nothing, nothing)
+    zeros = torch.zeros_like(x[..., 0])
+    return Rollout(x[..., :2], x[..., 2], x[..., 3], zeros, zeros)
 
 
-def _states(record: EpisodeRecord, view: View, row: int, at: IntArray) -> FloatArray:
-    """Return x, y from the view's origin, yaw and speed (T, 4) of one agent at instants *at* of the record."""
-    tracks, now = record.tracks, view.now
-    origin, name = now.xy_m[0, -1], view.ids[row]
-    place, yaw, speed = now.xy_m[row, -1], now.yaw_rad[row, -1], max(float(now.speed_mps[row, -1]), 0.0)
-    own = tracks.index.get(name)
-    out = np.empty((len(at), 4))
-    for k, step in enumerate(at.tolist()):
-        if own is not None and tracks.valid[own, step]:
-            place, yaw, speed = tracks.xy_m[own, step], tracks.yaw_rad[own, step], tracks.speed_mps[own, step]
+def _states(record: EpisodeRecord, view: View, row: int, instants: IntArray) -> FloatArray:
+    """Return the states (T, 4) of one agent at the record's *instants*: x, y, yaw, speed.
+
+    x and y are relative to the target's position in *view*. Without a record, the agent continues straight on at
+    constant speed.
+    """
+    tracks, past = record.tracks, view.now
+    origin, name = past.xy_m[0, -1], view.ids[row]
+    xy, yaw, speed = past.xy_m[row, -1], past.yaw_rad[row, -1], max(float(past.speed_mps[row, -1]), 0.0)
+    own_row = tracks.index.get(name)
+    states = np.empty((len(instants), 4))
+    for k, step in enumerate(instants.tolist()):
+        if own_row is not None and tracks.valid[own_row, step]:
+            xy, yaw = tracks.xy_m[own_row, step], tracks.yaw_rad[own_row, step]
+            speed = tracks.speed_mps[own_row, step]
         else:
-            place = place + MODEL_STEP_S * speed * np.array((np.cos(yaw), np.sin(yaw)))
-        out[k] = (*(place - origin), yaw, max(float(speed), 0.0))
-    return out
+            xy = xy + MODEL_STEP_S * speed * np.array((np.cos(yaw), np.sin(yaw)))
+        states[k] = (*(xy - origin), yaw, max(float(speed), 0.0))
+    return states
 
 
 def description(options: RunOptions, done: WarmedUp) -> dict[str, Any]:
-    """Return what the header of a warmed-up reward model says about it."""
+    """Return the header of the file of a warmed-up reward model."""
     return {
         "target": options.target,
         "net": options.net,

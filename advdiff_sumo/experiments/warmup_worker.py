@@ -1,4 +1,4 @@
-"""A warm-up in a process of its own, so that a planner that crashes, hangs or leaves is told so."""
+"""Runs a warm-up in a process of its own, so that a planner that crashes, hangs or exits gives a clear error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from advdiff_sumo.sweep.tasks import WorkerLimits
 from advdiff_sumo.sweep.worker_sandbox import end_after
 
 Tell = Callable[[int], None]
-_LOOK_S = 0.5  # between looks at how many plans are made
+_POLL_S = 0.5  # interval between readings of the number of plans
 
 
 def warm_up_in_worker(
@@ -29,30 +29,30 @@ def warm_up_in_worker(
     licence: str | None,
     limits: WorkerLimits,
     episode_s: float,
-    tell: Tell,
-    hear: Callable[[str], None],
+    on_progress: Tell,
+    on_output: Callable[[str], None],
 ) -> list[str]:
-    """Write what a warm-up learns to *out*, and return what there is to say of it, a line each.
+    """Run a warm-up, write its result to *out*, and return a summary as lines of text.
 
     Args:
         options: of a run, with its background.
-        steps: plans to learn from.
+        steps: number of plans to learn from.
         out: the file.
-        licence: "reckless" refits the reward model; else it is learnt which encounters break the target.
+        licence: "reckless": the reward model is refitted. Others: the encounters in which the target fails are learnt.
         limits: of the worker.
-        episode_s: longest time for one episode, in seconds of the clock; may be infinite.
-        tell: called with the plans made, now and then.
-        hear: called with what the planner printed.
+        episode_s: longest wall-clock time of one episode; may be infinite.
+        on_progress: called repeatedly with the number of plans so far.
+        on_output: called with what the planner printed.
 
     Raises:
         InputError: the target or background cannot be made, or the background has nothing to learn.
-        EpisodeFailure: the planner fails again and again, ends its process, or takes too long.
+        EpisodeFailure: the planner fails in several episodes in a row, ends its process, or takes too long.
     """
-    count = limits.logs / "plans"
+    count_file = limits.logs / "plans"
     learn = _refit_reward if licence == "reckless" else _learn_failures
-    call = partial(_learnt, learn, options, steps, out, count, episode_s)
-    with _told(count, tell):
-        outcome = call_in_worker("warm-up", call, limits, hear)
+    call = partial(_learn_in_process, learn, options, steps, out, count_file, episode_s)
+    with _progress_polled(count_file, on_progress):
+        outcome = call_in_worker("warm-up", call, limits, on_output)
     failed = outcome.failed
     if failed is None:
         lines: list[str] = json.loads(outcome.product[0])
@@ -62,70 +62,72 @@ def warm_up_in_worker(
 
 
 @contextlib.contextmanager
-def _told(count: Path, tell: Tell) -> Iterator[None]:
-    """Tell for a block what a worker writes to *count*."""
-    over = threading.Event()
+def _progress_polled(count_file: Path, on_progress: Tell) -> Iterator[None]:
+    """Within the ``with`` block, call *on_progress* with the number that a worker writes to *count_file*."""
+    is_over = threading.Event()
 
-    def look() -> None:
-        while not over.wait(_LOOK_S):
+    def poll() -> None:
+        while not is_over.wait(_POLL_S):
             with contextlib.suppress(OSError, ValueError):  # not there yet, or just being written
-                tell(int(count.read_text()))
+                on_progress(int(count_file.read_text()))
 
-    thread = threading.Thread(target=look, daemon=True)
+    thread = threading.Thread(target=poll, daemon=True)
     thread.start()
     try:
         yield
     finally:
-        over.set()
+        is_over.set()
         thread.join()
 
 
-def _learnt(
+def _learn_in_process(
     learn: Callable[[RunOptions, int, Path, Tell], list[str]],
     options: RunOptions,
     steps: int,
     out: Path,
-    count: Path,
+    count_file: Path,
     episode_s: float,
 ) -> bytes:
-    """Warm up in this process, which ends itself, and says where it is stuck, once an episode takes too long."""
+    """Run the warm-up in this process, which prints its stack and exits if an episode takes longer than *episode_s*."""
 
-    def tell(plans: int) -> None:
-        count.write_text(str(plans))
+    def on_progress(plans: int) -> None:
+        count_file.write_text(str(plans))
         end_after(episode_s)
 
-    tell(0)
-    return json.dumps(learn(options, steps, out, tell)).encode()
+    on_progress(0)
+    return json.dumps(learn(options, steps, out, on_progress)).encode()
 
 
-def _learn_failures(options: RunOptions, steps: int, out: Path, tell: Tell) -> list[str]:
+def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: Tell) -> list[str]:
     from advdiff_sumo.experiments.failure_warmup import (
-        header,
         failure_probabilities,
+        header,
         warm_up_failures,
     )  # late: the worker's
     from advdiff_sumo.models.failure_predictor import save_failures
 
-    done = warm_up_failures(options, steps, tell)
+    done = warm_up_failures(options, steps, on_progress)
     save_failures(done.predictor, out, header(options, done))
-    met = f"{counted(len(done.outcomes), 'encounter')}, {counted(done.failures, 'valid failure')}"
-    likely = ", ".join(f"{kind} {share:.0%}" for kind, share in failure_probabilities(done.predictor).items())
+    encounters = f"{counted(len(done.outcomes), 'encounter')}, {counted(done.failures, 'valid failure')}"
+    probabilities = ", ".join(
+        f"{kind} {share:.0%}" for kind, share in failure_probabilities(done.predictor).items()
+    )
     return [
-        f"{counted(done.plans, 'plan')} in {counted(done.episodes, 'episode')}, {met}",
-        f"expected to fail in: {likely}",
+        f"{counted(done.plans, 'plan')} in {counted(done.episodes, 'episode')}, {encounters}",
+        f"expected to fail in: {probabilities}",
         f"use it with run --background {options.background} --reward {out}",
     ]
 
 
-def _refit_reward(options: RunOptions, steps: int, out: Path, tell: Tell) -> list[str]:
+def _refit_reward(options: RunOptions, steps: int, out: Path, on_progress: Tell) -> list[str]:
     from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker's
     from advdiff_sumo.models.reward import save_reward
 
-    done = warm_up(options, steps, tell)
+    done = warm_up(options, steps, on_progress)
     save_reward(done.reward, out, description(options, done))
-    early, late = done.losses[: len(done.losses) // 2], done.losses[len(done.losses) // 2 :]
+    early_losses, late_losses = done.losses[: len(done.losses) // 2], done.losses[len(done.losses) // 2 :]
     return [
         f"{counted(done.steps, 'plan')} in {counted(done.episodes, 'episode')}, {counted(done.contacts, 'collision')}; "
-        f"loss {fmean(early or late):.4f} → {fmean(late):.4f}",
+        f"loss {fmean(early_losses or late_losses):.4f} → {fmean(late_losses):.4f}",
         f"reward model: {out}  ·  use it with run --background diffusion --licence reckless --reward {out}",
     ]

@@ -14,9 +14,9 @@ from advdiff_sumo.experiments.failure_warmup import (
     EPISODE_S,
     SCENE,
     MetEncounters,
+    failure_probabilities,
     header,
     meet,
-    failure_probabilities,
     warm_up_failures,
     with_room,
 )
@@ -82,8 +82,11 @@ def test_who_brakes_weakly_is_told_from_who_brakes_well() -> None:
     assert header(options(), weak)["failures"] == weak.failures
     sound = meet(options(horizon_s=EPISODE_S, scene=SCENE.model_dump()), prior(), 28, nothing)
     assert sound.failures == 0
-    assert failure_probabilities(sound.predictor)["hard-stop"] < promises(prior())["hard-stop"]
-    assert failure_probabilities(sound.predictor)["hard-stop"] < promises(weak.predictor)["hard-stop"]
+    assert failure_probabilities(sound.predictor)["hard-stop"] < failure_probabilities(prior())["hard-stop"]
+    assert (
+        failure_probabilities(sound.predictor)["hard-stop"]
+        < failure_probabilities(weak.predictor)["hard-stop"]
+    )
 
 
 @pytest.mark.slow

@@ -25,7 +25,12 @@ from advdiff_sumo.cli.worker_flags import limits_of
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.experiments.bench.bench_rows import policy_row
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells, run_cells
-from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered, failures_told, gather_rows
+from advdiff_sumo.experiments.bench.episode_results import (
+    EpisodeResult,
+    Gathered,
+    failures_sentence,
+    gather_rows,
+)
 from advdiff_sumo.experiments.bench.intervals import Ratio, Sample
 from advdiff_sumo.experiments.bench.print_table import print_table
 from advdiff_sumo.experiments.bench.scene_list import TUNING_LIST, SceneList, read_scene_list, shipped_list
@@ -70,7 +75,7 @@ def table_of(results: Gathered, title: str) -> Table:
         RowSamples(cell.row, cell.target, cell.row, samples_of(episodes))
         for cell, episodes in results.finished.items()
     ]
-    failed = failures_told(results, results.finished)
+    failed = failures_sentence(results, results.finished)
     return Table("tune-rivals", title, HEADS, lines_of(HEADS, rows, {}), notes=(failed,) if failed else ())
 
 

@@ -1,1 +1,1 @@
-"""The paper's tables: every row on the same seed scenes, with intervals, beside the paper's own figures."""
+"""Makes the paper's tables: all rows use the same seed scenes; intervals and the paper's figures are added."""

@@ -1,4 +1,4 @@
-"""``bench adversarial``: the paper's second table, closed loop, and four columns that nobody has."""
+"""``bench adversarial``: the paper's second table, in closed loop, with four columns more."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from advdiff_sumo.experiments.bench.bench_config import Folder
 from advdiff_sumo.experiments.bench.bench_rows import (
     NATURAL,
     OURS,
-    asked_of,
-    licensed,
     policy_row,
+    resolve_request,
+    with_licence,
 )
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
-from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_told
+from advdiff_sumo.experiments.bench.episode_results import Gathered, failures_sentence
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.samples import background_samples, collision_samples
 from advdiff_sumo.experiments.bench.scene_list import SceneList
@@ -44,16 +44,16 @@ NOTES = (
 )
 
 
-def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
-    """Return the cells that the request asks for.
+def plan_adversarial(folder: Folder, reporter: ProgressReporter) -> BenchCells:
+    """Return the cells of the request.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     request = folder.request
-    scenes, targets, names = asked_of(request, teller, ATTACKED, folder=folder.path)
+    scenes, targets, names = resolve_request(request, reporter, ATTACKED, folder=folder.path)
     rows = {name: policy_row(name) for name in names}
-    options = {name: licensed(row.options, request) for name, row in rows.items()}
+    options = {name: with_licence(row.options, request) for name, row in rows.items()}
     cells = [
         BenchCell(name, target, rows[name].background, background_options=options[name])
         for target in targets
@@ -63,7 +63,7 @@ def plan_adversarial(folder: Folder, teller: ProgressReporter) -> BenchCells:
 
 
 def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> Table:
-    """Return the table of what was gathered."""
+    """Return the table of the episodes."""
     natural = {cell.target: episodes for cell, episodes in results.finished.items() if cell.row == NATURAL}
     rows = []
     for cell, episodes in results.finished.items():
@@ -71,31 +71,35 @@ def adversarial_table(results: Gathered, scenes: SceneList, folder: Folder) -> T
         samples = collision_samples(episodes) | background_samples(
             episodes, natural.get(cell.target, ()), plans=cell.background not in PLAN_NOTHING
         )
-        ours = cell.row == OURS
-        rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, ours))
+        is_ours = cell.row == OURS
+        rows.append(RowSamples(cell.row, cell.target, policy.title, samples, policy.reference, is_ours))
     lines = lines_of(HEADS, rows, paper_table("adversarial"))
     heads = tuple(head for head in HEADS if any(head.key in line.cells for line in lines))
-    starts = counted(len(scenes.scenes), "seed scene")
-    title = f"Adversarial traffic, closed loop: {starts}, {folder.request.horizon_s:g} s"
+    scene_count = counted(len(scenes.scenes), "seed scene")
+    title = f"Adversarial traffic, closed loop: {scene_count}, {folder.request.horizon_s:g} s"
     return Table(
         "adversarial", title, heads, lines, gaps_of(heads, rows), notes_of(results, scenes, folder, NOTES)
     )
 
 
-def notes_of(results: Gathered, scenes: SceneList, folder: Folder, usual: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the notes of a closed-loop table: definitions, what failed, and what it was made of."""
-    failed = failures_told(results, results.finished)
-    other = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
-    other = other and not scenes.log
-    moved = (
+def notes_of(
+    results: Gathered, scenes: SceneList, folder: Folder, definitions: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the notes of a closed-loop table: definitions, failed episodes, seed scenes, licence and revisions."""
+    failures = failures_sentence(results, results.finished)
+    differs = scenes.sumo != version("libsumo") or scenes.horizon_s != folder.request.horizon_s
+    differs = differs and not scenes.log
+    difference = (
         f"The list of seed scenes is for SUMO {scenes.sumo} and episodes of {scenes.horizon_s:g} s: these are others, "
         "from the same seeds."
-        if other
+        if differs
         else ""
     )
     scenes_note = (
         f"Seed scenes: sha256 {scenes.sha256[:16]}. Revision: {', '.join(r[:10] for r in folder.revisions)}."
     )
     licence = f"Licence: {folder.request.licence}." if folder.request.licence else ""
-    logged = "Seed scenes are of a driving log, one a second of every drive." if scenes.log else ""
-    return tuple(note for note in (*usual, failed, moved, logged, licence, scenes_note) if note)
+    log_note = "Seed scenes are of a driving log, one a second of every drive." if scenes.log else ""
+    return tuple(
+        note for note in (*definitions, failures, difference, log_note, licence, scenes_note) if note
+    )

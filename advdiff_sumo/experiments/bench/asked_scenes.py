@@ -1,6 +1,6 @@
-"""The seed scenes that a bench is asked for: of a list, of the user's own nets, or out of a driving log.
+"""Finds the seed scenes of a bench: of a list, of the user's own nets, or of a driving log.
 
-Of a log it is the paper's own setting, a window a second of every drive; of nets what ``advdiff-sumo run`` finds there.
+A log gives one scene for each second of every drive, as in the paper. Nets give the scenes of ``advdiff-sumo run``.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ LOG_HORIZON_S = 6.0
 LOG_STRIDE_S = 1.0
 NETS = "nets"
 """Folder of converted nets within a bench's folder."""
-_TOLD = 3  # drives in a message
+_MAX_NAMED_DRIVES = 3  # in a message
 _LOG_FILES = (".pkl", ".parquet", ".xml", ".gz")
-_OF_A_LIST = ("background_options", "target_options")
-"""Options that do not decide where a list's scenes begin."""
+_ALLOWED_WITH_LIST = ("background_options", "target_options")
+"""Options that may be set with a list, as they do not change its scenes."""
 
 
 def is_log(asked: str) -> bool:
-    """Return whether ``--scenes`` names a driving log: a folder, or a file of a kind that logs have."""
+    """Return whether ``--scenes`` names a driving log: a folder, or a file with the suffix of a log."""
     path = Path(asked)
     return path.is_dir() or (path.is_file() and path.suffix in _LOG_FILES)
 
 
 def bench_scenes(asked: str, name: str, folder: Path | None) -> SceneList:
-    """Return the seed scenes that ``--scenes`` asks for, of a list or of a driving log.
+    """Return the seed scenes of ``--scenes``, of a list or of a driving log.
 
     Args:
         asked: a number, the file of a list, or the root of a log.
-        name: shipped list that a number is of.
-        folder: of the bench, where nets are kept; None: of a log it is only looked at whether it can be opened.
+        name: the shipped list, if *asked* is a number.
+        folder: of the bench, where nets are stored. None: a log is only opened, and the returned list is empty.
 
     Raises:
         InputError: there is no such list, number or log, or no drive of the log can be used.
@@ -59,12 +59,12 @@ def bench_scenes(asked: str, name: str, folder: Path | None) -> SceneList:
 
 
 def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
-    """Return a scene a second of every drive, drives and then nets in turn, on nets converted from the log's maps.
+    """Return one scene for each second of every drive, the nets in turn, on nets converted from the log's maps.
 
     Args:
         log: root of the log.
         reader: of it.
-        folder: where the nets are, or are put.
+        folder: of the nets; missing ones are converted.
 
     Raises:
         InputError: a map cannot be converted, or no drive is on its net.
@@ -74,18 +74,18 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
     by_net = {net: _usable(road, reader, options) for net, road in roads.items()}
     if not by_net:
         raise SceneError(
-            f"{log}: none of its drives is on a net of its own map ({'; '.join(left_out[:_TOLD])})"
+            f"{log}: none of its drives is on a net of its own map ({'; '.join(left_out[:_MAX_NAMED_DRIVES])})"
         )
     if not any(by_net.values()):
         raise SceneError(f"{log}: its ego never drives along a lane with 1.5 s to come; give other drives")
-    turns = max(by_net.values())
+    most_scenes = max(by_net.values())
     scenes = tuple(
         ListedScene(net=net, seed=0, number=number)
-        for number in range(turns)
+        for number in range(most_scenes)
         for net, count in by_net.items()
         if number < count
     )
-    whole = SceneList(
+    scene_list = SceneList(
         about="; ".join(("a window a second of a driving log", *left_out)),
         nets={net: file_digest(*net_files(net)) for net in by_net},
         sumo=version("libsumo"),
@@ -94,11 +94,11 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
         scenes=scenes,
         log=str(log),
     )
-    return whole.model_copy(update={"sha256": whole.content_digest})
+    return scene_list.model_copy(update={"sha256": scene_list.content_digest})
 
 
 def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[str]]:
-    """Return the nets of all drives, by path and in its order, and which drives are left out and why."""
+    """Return the nets of all drives by path, sorted, and for each excluded drive the reason."""
     nets, roads, left_out = LogNets((), folder), dict[str, RoadMap](), list[str]()
     for drive in reader.scenes():
         try:
@@ -111,33 +111,33 @@ def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[st
 
 
 def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:
-    """Return how many episodes can begin on *road* with the whole window to come, or what a short log has of it."""
+    """Return how many seed scenes the log has on *road* with a full window ahead, or the rest of a shorter log."""
     traffic = LoggedTraffic(road, reader, options, SimOptions(), SeedTree(0), late=False)
     return sum(1 for _ in traffic.scenes())
 
 
 def asked_scenes(request: Request, name: str, folder: Path | None) -> SceneList:
-    """Return the seed scenes that the request asks for: of nets, of a list, or of a driving log.
+    """Return the seed scenes of the request: of nets, of a list, or of a driving log.
 
     Args:
-        request: what is asked.
-        name: shipped list that a number without nets is of.
-        folder: of the bench, as :func:`bench_scenes` takes it.
+        request: of the bench.
+        name: the shipped list, if the request gives a number without nets.
+        folder: of the bench, as in :func:`bench_scenes`.
 
     Raises:
         InputError: there is no such net, list or log, both nets and a list are given, or an option is impossible.
     """
-    own = request.episode
+    episode_options = request.episode
     if request.nets:
         return _scenes_of_nets(request)
-    others = sorted(own.model_fields_set - {*_OF_A_LIST})
-    if others:
-        raise ConfigError(f"--set {others[0]}: a list has its own; add --net, or leave it out")
+    forbidden = sorted(episode_options.model_fields_set - {*_ALLOWED_WITH_LIST})
+    if forbidden:
+        raise ConfigError(f"--set {forbidden[0]}: a list has its own; add --net, or leave it out")
     return bench_scenes(request.scenes, name, folder)
 
 
 def _scenes_of_nets(request: Request) -> SceneList:
-    """Return the first ``request.scenes`` of the nets in turn; of one net scenes 0, 1, … of a run with that seed."""
+    """Return the first ``request.scenes`` scenes, nets in turn; on each net scenes 0, 1, … of a run with that seed."""
     if not request.scenes.isdigit():
         raise ConfigError(
             f"--scenes {request.scenes}: has its own nets; give the number of scenes on --net, or leave --net out "
@@ -147,7 +147,14 @@ def _scenes_of_nets(request: Request) -> SceneList:
     if count < 1:
         raise ConfigError(f"--scenes {count}: give a number above 0")
     nets = tuple(dict.fromkeys(net_name(net) for net in request.nets))
-    own = request.episode
-    each = -(-count // len(nets))
-    whole = make_list(each, own.seed, "the first seed scenes of own nets", nets, own.scene, request.horizon_s)
-    return whole.model_copy(update={"demand": own.demand}).first(count)
+    episode_options = request.episode
+    per_net = -(-count // len(nets))
+    scene_list = make_list(
+        per_net,
+        episode_options.seed,
+        "the first seed scenes of own nets",
+        nets,
+        episode_options.scene,
+        request.horizon_s,
+    )
+    return scene_list.model_copy(update={"demand": episode_options.demand}).first(count)

@@ -1,4 +1,4 @@
-"""What a bench was asked for, as its folder remembers it."""
+"""The request of a bench, and the file in which its folder stores it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from advdiff_sumo.traffic.licence import LicenceName
 
 BenchName: TypeAlias = Literal["traffic", "adversarial", "transfer", "fewshot", "defects"]
 _FILE = "bench.json"
-_LATER = ("nets", "options")
-_TRACED = ("adversarial", "transfer")
-_TRACES = 4
-"""Version of what traces hold and how it is computed; those of another one, and tables of them, are made anew."""
+_OMIT_IF_EMPTY = ("nets", "options")
+"""Later options, which do not change the digest of a request unless they are set."""
+_BENCHES_WITH_TRACES = ("adversarial", "transfer")
+_TRACE_VERSION = 4
+"""Version of the traces' contents and computation; traces and tables of another version are made again."""
 
 
 class EpisodeOptions(Options):
-    """What ``--set`` can say of a bench's episodes, by the names that ``run --set`` has.
+    """Options of a bench's episodes for ``--set``, named as for ``run --set``.
 
     Attributes:
         seed: root of the random numbers.
@@ -38,7 +39,7 @@ class EpisodeOptions(Options):
         sim: steps and radii.
         scene: how seed scenes are found.
         background_options: of every background.
-        target_options: of every target, the careful driver beside them apart.
+        target_options: of every target, except the additional careful driver.
     """
 
     seed: Seed = 0
@@ -50,22 +51,22 @@ class EpisodeOptions(Options):
 
 
 class Request(Options):
-    """Options of a bench; an empty list of names means all that there are.
+    """Options of a bench; an empty list of names means all available ones.
 
     Attributes:
         bench: its verb.
-        scenes: how many of the shipped list's first, a list's file, or a driving log; windows of ``traffic``.
+        scenes: number of scenes of the shipped list, the file of a list, or a driving log; windows of ``traffic``.
         horizon_s: longest duration of an episode.
-        targets: what is attacked.
+        targets: tested planners.
         policies: rows.
-        seeds: random seeds: of samples (traffic) or warm-ups (transfer, fewshot).
-        steps: of a warm-up, the last of the ladder (transfer, fewshot).
-        data: window files of ``traffic``; empty: made for it.
+        seeds: number of random seeds: of samples (traffic) or warm-ups (transfer, fewshot).
+        steps: plans of a warm-up; of ``fewshot`` the last of its steps (transfer, fewshot).
+        data: window files of ``traffic``; empty: they are generated.
         samples: joint samples of a scene (traffic).
-        defects: what is planted, as ``NAME`` or ``NAME:SEVERITY`` (defects).
-        severity: of those that have none.
-        licence: of all that attack; None: the paper's, and of ``defects`` the default one.
-        nets: where seed scenes are found, in place of a list; ``scenes`` is their number then.
+        defects: planted defects, as ``NAME`` or ``NAME:SEVERITY`` (defects).
+        severity: of defects without one.
+        licence: of all attackers; None: the paper's, for ``defects`` the default one.
+        nets: on which seed scenes are found, instead of a list; ``scenes`` is their number then.
         options: of the episodes, those of :class:`EpisodeOptions` that are given.
     """
 
@@ -99,9 +100,9 @@ class Folder:
     """A bench's folder.
 
     Attributes:
-        path: where it is.
-        request: what is asked for now.
-        revisions: of the package that worked in it.
+        path: of the folder.
+        request: the present one.
+        revisions: of the package that have written to it.
     """
 
     path: Path
@@ -115,41 +116,43 @@ class Folder:
 
     @property
     def traces(self) -> Path:
-        """Folder of what the background did in its episodes."""
-        return self.path / f"traces-{_TRACES}"
+        """Folder of the traces of its episodes' backgrounds."""
+        return self.path / f"traces-{_TRACE_VERSION}"
 
     @property
-    def asked(self) -> str:
-        """Digest of what is asked for, and of how it is computed."""
+    def request_digest(self) -> str:
+        """Digest of the request and of the version of the computation."""
         dumped = self.request.model_dump(mode="json")
-        if self.request.bench in _TRACED:
-            dumped["traces"] = _TRACES
-        return digest({name: value for name, value in dumped.items() if name not in _LATER or value})
+        if self.request.bench in _BENCHES_WITH_TRACES:
+            dumped["traces"] = _TRACE_VERSION
+        return digest({name: value for name, value in dumped.items() if name not in _OMIT_IF_EMPTY or value})
 
 
 def open_bench(path: Path, request: Request) -> Folder:
-    """Make the folder, or go on in it; what is asked may have changed, what weights it used may not.
+    """Create the folder of a bench, or continue in it; the request may have changed, but not the weights.
 
     Raises:
-        FileError: it holds something else, or cannot be written.
+        FileError: the folder holds something else, or cannot be written.
         ConfigError: it belongs to another bench, or weights have changed since it was begun.
     """
-    known = stored(path)
+    previous = stored(path)
     weights = weights_digests()
-    if known is not None:
-        if known["request"]["bench"] != request.bench:
-            raise ConfigError(f"{path}: belongs to bench {known['request']['bench']}; choose another --out")
-        changed = [name for name, old in known["weights"].items() if weights.get(name, "") != old]
+    if previous is not None:
+        if previous["request"]["bench"] != request.bench:
+            raise ConfigError(
+                f"{path}: belongs to bench {previous['request']['bench']}; choose another --out"
+            )
+        changed = [name for name, old in previous["weights"].items() if weights.get(name, "") != old]
         if changed:
             raise ConfigError(
                 f"{path}: {changed[0]} is not what it was when that bench was begun; choose a new --out"
             )
-        weights |= known["weights"]
+        weights |= previous["weights"]
     elif path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise FileError(path, "is there already and no folder of a bench", "choose a new --out")
     made_by = versions()
-    before = tuple(known["revisions"]) if known is not None else ()
-    revisions = tuple(dict.fromkeys((*before, made_by["revision"])))
+    earlier_revisions = tuple(previous["revisions"]) if previous is not None else ()
+    revisions = tuple(dict.fromkeys((*earlier_revisions, made_by["revision"])))
     content = {
         "request": request.model_dump(mode="json"),
         "weights": weights,
@@ -162,7 +165,7 @@ def open_bench(path: Path, request: Request) -> Folder:
 
 
 def stored(path: Path) -> dict[str, Any] | None:
-    """Return what the folder remembers; None where there is no bench in it.
+    """Return the stored content of a bench's folder; None if it is no bench's folder.
 
     Raises:
         FileError: its file is damaged.
@@ -182,15 +185,17 @@ def stored(path: Path) -> dict[str, Any] | None:
 def request_of(
     bench: BenchName, path: Path, defaults: Mapping[str, Any], given: Mapping[str, Any]
 ) -> Request:
-    """Return what is asked: what the folder remembers, else *defaults*; what is *given* wins over both.
+    """Return the request: *given* options, else those that the folder stores, else *defaults* for a new folder.
 
     Raises:
         InputError: an option is impossible, or the folder belongs to another bench.
     """
-    known = stored(path)
-    if known is not None and known["request"].get("bench") != bench:
-        raise ConfigError(f"{path}: belongs to bench {known['request'].get('bench')}; choose another --out")
-    base = defaults if known is None else known["request"]
+    previous = stored(path)
+    if previous is not None and previous["request"].get("bench") != bench:
+        raise ConfigError(
+            f"{path}: belongs to bench {previous['request'].get('bench')}; choose another --out"
+        )
+    base = defaults if previous is None else previous["request"]
     values = {**base, **{key: value for key, value in given.items() if value is not None}, "bench": bench}
     return Request.parse(values, f"bench {bench}")
 
@@ -200,44 +205,43 @@ def weights_digests() -> dict[str, str]:
     return {path.name: file_digest(path) for path in sorted(shipped_weights().parent.glob("*.safetensors"))}
 
 
-def chosen(
-    asked: Sequence[str],
-    usual: Mapping[str, str],
+def chosen_names(
+    requested: Sequence[str],
+    defaults: Mapping[str, str],
     registry: Registry,
     option: str,
     make: Callable[[str], object],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return which rows or targets take part, and which of the usual ones this installation does not have.
+    """Return the names of the rows or targets that take part, and the defaults that this installation lacks.
 
     Args:
-        asked: what the user named; empty: all of the usual ones that are there.
-        usual: name in the table → name in the registry.
+        requested: names given by the user; empty: all available defaults.
+        defaults: name in the table → name in the registry.
         registry: of targets or backgrounds.
-        option: for the message.
-        make: makes the target or policy of a name in the table; one whose weights are missing counts as not there,
-            unless the user named it.
+        option: its name, for messages.
+        make: makes the target or policy of a name in the table. A default whose weights are missing is not available.
 
     Raises:
-        InputError: a name was asked for that is not registered or cannot be made.
+        InputError: a requested name is not registered or cannot be made.
     """
     registered = {fold(name) for name in registry.names()}
-    there = {name for name, behind in usual.items() if fold(behind) in registered}
-    if not asked:
-        there = {name for name in there if _has_weights(make, name)}
-        return tuple(n for n in usual if n in there), tuple(n for n in usual if n not in there)
-    by_fold = {fold(name): name for name in usual}
-    picked = []
-    for name in dict.fromkeys(asked):
-        known = by_fold.get(fold(name))
-        if known is None:
-            known = registry.canonical(name)  # says what is near
-        elif known not in there:
+    available = {name for name, registered_name in defaults.items() if fold(registered_name) in registered}
+    if not requested:
+        available = {name for name in available if _has_weights(make, name)}
+        return tuple(n for n in defaults if n in available), tuple(n for n in defaults if n not in available)
+    by_fold = {fold(name): name for name in defaults}
+    names = []
+    for name in dict.fromkeys(requested):
+        canonical = by_fold.get(fold(name))
+        if canonical is None:
+            canonical = registry.canonical(name)  # its error suggests a similar name
+        elif canonical not in available:
             raise ConfigError(
-                f"{option} {name}: this installation has no {registry.kind} '{usual[known]}' yet; leave it out"
+                f"{option} {name}: this installation has no {registry.kind} '{defaults[canonical]}' yet; leave it out"
             )
-        make(known)
-        picked.append(known)
-    return tuple(picked), ()
+        make(canonical)
+        names.append(canonical)
+    return tuple(names), ()
 
 
 def _has_weights(make: Callable[[str], object], name: str) -> bool:

@@ -1,4 +1,4 @@
-"""A bench's table as a picture: intervals side by side, a heat map, or curves."""
+"""Draws a bench's table as a picture: intervals side by side, a heat map, or curves."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from advdiff_sumo.experiments.bench.table import Cell, Head, Line, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 _OURS, _OTHERS, _REFERENCE, _PAPER = "#00796b", "#37474f", "#90a4ae", "#bdbdbd"
-_PER_ROW = 4
+_PANELS_PER_ROW = 4
 _DPI = 130
-_DARK = 0.7
-"""Of a heat map's highest value; beyond it letters are white."""
+_WHITE_TEXT_FROM = 0.7
+"""Share of a heat map's highest value above which text is white."""
 
 
 def draw(path: Path, table: Table) -> None:
@@ -35,8 +35,8 @@ def draw(path: Path, table: Table) -> None:
 
 
 def _intervals(table: Table) -> Figure:
-    """Return one small panel a column: a row's figure and interval, the paper's figure as a grey cross."""
-    columns = min(_PER_ROW, len(table.heads))
+    """Return a panel for each column with each row's figure and interval; the paper's figure is a grey cross."""
+    columns = min(_PANELS_PER_ROW, len(table.heads))
     rows = -(-len(table.heads) // columns)
     figure = Figure(
         figsize=(3.4 * columns, rows * (1.0 + 0.27 * len(table.lines))), dpi=_DPI, layout="constrained"
@@ -78,13 +78,13 @@ def _dot(axes: Axes, row: int, cell: Cell, head: Head, line: Line) -> None:
 
 
 def _heat_map(table: Table) -> Figure:
-    """Return the collision rates of the target as colours: adapted to (rows) against met (columns)."""
+    """Return the target's collision rates as a heat map: what the policy was adapted to (rows) by target (columns)."""
     heads = [head for head in table.heads if head.key.endswith(":av_rate")]
     values = np.array([[_value(line, head) for head in heads] for line in table.lines])
     size = (1.6 + 1.3 * len(heads), 1.6 + 0.4 * len(table.lines))
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
     axes = figure.subplots()
-    dark = _DARK * np.nan_to_num(values).max()
+    white_from = _WHITE_TEXT_FROM * np.nan_to_num(values).max()
     axes.imshow(np.nan_to_num(values), cmap="YlOrRd", aspect="auto", vmin=0.0)
     for row, line in enumerate(table.lines):
         for column, head in enumerate(heads):
@@ -92,7 +92,7 @@ def _heat_map(table: Table) -> Figure:
             if cell is not None:
                 paper = formatting.paper_number(cell)
                 text = formatting.number(cell.found.value, head) + (f"\n({paper})" if paper else "")
-                colour = "white" if values[row, column] > dark else "black"
+                colour = "white" if values[row, column] > white_from else "black"
                 axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(table.lines)), [line.title for line in table.lines], fontsize=7)
     axes.set_xticks(range(len(heads)), [head.title.partition(":")[0] for head in heads], fontsize=7)
@@ -101,7 +101,7 @@ def _heat_map(table: Table) -> Figure:
 
 
 def _detections(table: Table) -> Figure:
-    """Return the rates of valid failures as colours: what is planted (rows) before each background (columns)."""
+    """Return the rates of valid failures as a heat map: planted defects (rows) by background (columns)."""
     lines = [line for line in table.lines if line.key != "score"]
     values = np.array([[_value(line, head) for head in table.heads] for line in lines])
     size = (max(3.0 + 1.1 * len(table.heads), 6.0), 1.6 + 0.27 * len(lines))
@@ -114,7 +114,7 @@ def _detections(table: Table) -> Figure:
             cell = line.cells.get(head.key)
             if cell is not None and cell.found.n:
                 text = formatting.number(cell.found.value, head) + (" ★" if cell.best else "")
-                colour = "white" if values[row, column] > _DARK * highest else "black"
+                colour = "white" if values[row, column] > _WHITE_TEXT_FROM * highest else "black"
                 weight = "bold" if cell.best else "normal"
                 axes.text(
                     column, row, text, ha="center", va="center", fontsize=7, color=colour, weight=weight
@@ -126,7 +126,7 @@ def _detections(table: Table) -> Figure:
 
 
 def _curves(table: Table) -> Figure:
-    """Return a panel a group of rows, and in it a curve a row: collision rate over steps, its interval as a band."""
+    """Return a panel for each group with a curve for each row: collision rate over steps, its interval as a band."""
     groups = tuple(dict.fromkeys(line.group for line in table.lines))
     figure = Figure(figsize=(1.5 + 4.5 * len(groups), 4.0), dpi=_DPI, layout="constrained")
     figure.suptitle(table.title, fontsize=9)
@@ -148,7 +148,9 @@ def _curve(axes: Axes, line: Line, heads: Sequence[Head]) -> None:
     estimates = [line.cells[head.key].found for head in heads]
     value, low, high = (
         [np.nan if part is None else 100.0 * part for part in parts]
-        for parts in zip(*((one.value, one.low, one.high) for one in estimates), strict=True)
+        for parts in zip(
+            *((estimate.value, estimate.low, estimate.high) for estimate in estimates), strict=True
+        )
     )
     (curve,) = axes.plot(steps, value, marker="o", markersize=4, label=line.title)
     axes.fill_between(steps, low, high, color=curve.get_color(), alpha=0.12)

@@ -1,4 +1,4 @@
-"""Rows of the closed-loop tables: background policies by the names that ``--policies`` takes, and who meets them."""
+"""Rows of the closed-loop tables: background policies by the names of ``--policies``, and their targets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
-from advdiff_sumo.experiments.bench.bench_config import Request, chosen
+from advdiff_sumo.experiments.bench.bench_config import Request, chosen_names
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
@@ -19,13 +19,13 @@ from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
 @dataclass(frozen=True)
 class PolicyRow:
-    """A background as a row.
+    """A row with a background policy.
 
     Attributes:
-        title: what is printed.
+        title: printed name.
         background: as registered.
         options: of it.
-        reference: it does not attack, and is looked at beside those that do.
+        reference: it does not attack, and serves for comparison.
     """
 
     title: str
@@ -36,7 +36,7 @@ class PolicyRow:
 
 NATURAL, UNGUIDED, OURS, SCRIPTED = "sumo", "unguided", "diffusion", "scripted"
 PAPERS_LICENCE: Mapping[str, Any] = {"licence": "reckless"}
-"""What attackers may do in the paper's tables: anything that moves like a vehicle; with its kind of decoder."""
+"""The licence of the paper's tables: attackers may do all that a vehicle can. It also selects the paper's decoder."""
 POLICY_ROWS: Mapping[str, PolicyRow] = {
     NATURAL: PolicyRow("SUMO (natural)", "sumo", {}, True),
     "replay": PolicyRow("Replay", "replay", {}, True),
@@ -57,27 +57,27 @@ TARGET_TITLES: Mapping[str, str] = {
 
 
 def policy_row(name: str) -> PolicyRow:
-    """Return the row *name*; scripted attackers have the licence of the others, a user's own background is as it is."""
+    """Return the row *name*; ``scripted`` gets the paper's licence, a user's own background no options."""
     return POLICY_ROWS.get(name, PolicyRow(name, name, PAPERS_LICENCE if name == SCRIPTED else {}))
 
 
-def licensed(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
-    """Return *options* of a row with the licence that is asked for, if any, where it has one."""
+def with_licence(options: Mapping[str, Any], request: Request) -> dict[str, Any]:
+    """Return the *options* of a row with the licence of the request, if both have one."""
     if request.licence is None or "licence" not in options:
         return dict(options)
     return {**options, "licence": request.licence}
 
 
 def refits_q(request: Request) -> bool:
-    """Return whether warm-ups refit Q, as in the paper; under other licences they learn which encounters to go for."""
-    return licensed(PAPERS_LICENCE, request) == PAPERS_LICENCE
+    """Return whether warm-ups refit Q, as in the paper; under other licences they fit a failure predictor."""
+    return with_licence(PAPERS_LICENCE, request) == PAPERS_LICENCE
 
 
 def made_policy(name: str) -> object:
     """Return the policy of the row *name*.
 
     Raises:
-        InputError: it cannot be made, for example as its weights are missing.
+        InputError: it cannot be made, for example because its weights are missing.
     """
     row = policy_row(name)
     return make_policy(row.background, row.options)
@@ -88,32 +88,32 @@ def made_target(name: str, options: Mapping[str, Any] = MappingProxyType({})) ->
     return make_target(name, options)
 
 
-def asked_of(
+def resolve_request(
     request: Request,
-    teller: ProgressReporter,
-    usual_targets: Mapping[str, str],
-    usual_rows: Mapping[str, str] = REGISTERED,
+    reporter: ProgressReporter,
+    default_targets: Mapping[str, str],
+    default_rows: Mapping[str, str] = REGISTERED,
     scene_list: str = TABLE_LIST,
     folder: Path | None = None,
 ) -> tuple[SceneList, tuple[str, ...], tuple[str, ...]]:
-    """Return the seed scenes, targets and rows that the request asks for; say which usual ones are left out.
+    """Return the seed scenes, targets and rows of the request; report the defaults that are left out.
 
     Args:
-        request: what is asked.
-        teller: is told what is left out.
-        usual_targets: targets where none are named, by their names in the table.
-        usual_rows: rows where none are named, with their backgrounds.
+        request: of the bench.
+        reporter: gets the messages on what is left out.
+        default_targets: name in the table → registered name.
+        default_rows: name of the row → registered background.
         scene_list: shipped list of seed scenes.
-        folder: of the bench; None: nothing is begun yet.
+        folder: of the bench; None: not begun yet.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
     scenes = asked_scenes(request, scene_list, folder)
-    made = partial(made_target, options=request.episode.target_options)
-    targets, absent = chosen(request.targets, usual_targets, TARGETS, "--targets", made)
-    names, lacking = chosen(request.policies, usual_rows, POLICIES, "--policies", made_policy)
-    for what, missing in (("row", lacking), ("target", absent)):
+    make = partial(made_target, options=request.episode.target_options)
+    targets, missing_targets = chosen_names(request.targets, default_targets, TARGETS, "--targets", make)
+    names, missing_rows = chosen_names(request.policies, default_rows, POLICIES, "--policies", made_policy)
+    for kind, missing in (("row", missing_rows), ("target", missing_targets)):
         for name in missing:
-            teller.say(f"{what} {name} is left out: this installation lacks it or its weights")
+            reporter.say(f"{kind} {name} is left out: this installation lacks it or its weights")
     return scenes, targets, names

@@ -1,4 +1,4 @@
-"""Episodes of a bench: cells of a target and a background on the listed scenes, run as a sweep."""
+"""Plans and runs the episodes of a bench as a sweep: cells of a target and a background, on the listed scenes."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
 _RETRIES = 2
-#: What later options of the simulation record and no table reads.
-_NOT_KEPT = {"record_plans": 0, "record_natural": False}
+#: Options that turn off recordings which no table uses.
+_RECORD_LESS = {"record_plans": 0, "record_natural": False}
 
 
 @dataclass(frozen=True, eq=False)
 class BenchCell:
-    """A target against a background; one and the same only with itself.
+    """A target against a background. Cells are compared by identity.
 
     Attributes:
         row: key of the table's row.
@@ -37,8 +37,8 @@ class BenchCell:
         background: as registered.
         target_options: of the target.
         background_options: of the background.
-        like: cells of the same name here take as long as each other; "" for the row's.
-        defect: what is planted in the target, where that is what the bench is about.
+        like: group of cells whose episodes take equally long; "": those of the same row.
+        defect: planted in the target; only of ``bench defects``.
     """
 
     row: str
@@ -52,12 +52,12 @@ class BenchCell:
 
 @dataclass(frozen=True)
 class BenchCells:
-    """A planned sweep and what its episodes are for.
+    """A planned sweep and the cells of its episodes.
 
     Attributes:
         plan: of the sweep.
         cells: in its order.
-        scenes: that each of them starts from.
+        scenes: seed scenes of each cell.
     """
 
     plan: SweepPlan
@@ -66,15 +66,15 @@ class BenchCells:
 
     def jobs(self) -> Iterator[tuple[BenchCell, Job]]:
         """Yield every episode with its cell."""
-        places = len(self.scenes.counts())
+        cases_per_cell = len(self.scenes.counts())
         for job in self.plan.jobs:
-            yield self.cells[job.cell // places], job
+            yield self.cells[job.cell // cases_per_cell], job
 
 
 def plan_cells(
     cells: Sequence[BenchCell], scenes: SceneList, horizon_s: float, sim: Mapping[str, Any] | None = None
 ) -> BenchCells:
-    """Check everything and lay out the episodes; *sim* has options of the simulation, the others are usual.
+    """Check the cells and plan their episodes; *sim* has options of the simulation that differ from the defaults.
 
     Raises:
         InputError: a target or background cannot be made, or a net is missing.
@@ -95,11 +95,11 @@ def plan_cells(
         for cell in cells
         for (net, seed, stratum), count in scenes.counts().items()
     ]
-    known = {name: value for name, value in _NOT_KEPT.items() if name in SimOptions.model_fields}
+    recording = {name: value for name, value in _RECORD_LESS.items() if name in SimOptions.model_fields}
     spec = SweepSpec.of(
         {
             "horizon_s": horizon_s,
-            "sim": {**known, **(sim or {})},
+            "sim": {**recording, **(sim or {})},
             "scene": scenes.scene.model_dump(mode="json"),
             "cases": tuple(case.model_dump(mode="json", exclude_none=True) for case in cases),
         },
@@ -109,39 +109,39 @@ def plan_cells(
 
 
 def open_bench_store(path: Path, plan: SweepPlan, workers: int) -> Store:
-    """Return the store of the bench's sweep; one that was begun with fewer rows or scenes takes the new ones in.
+    """Return the store of the bench's sweep; if it exists, new rows and scenes are added.
 
-    Episodes are known by their content, so those that are there already stay.
+    Episodes are identified by their options, so finished ones are kept.
 
     Raises:
         FileError: the folder cannot be written.
     """
-    begun = (path / SWEEP_SETTINGS).exists()
-    if begun:
+    is_begun = (path / SWEEP_SETTINGS).exists()
+    if is_begun:
         settings = with_earlier(settings_of(plan), "made_by", {"made_by": made_by(path)})
         write_whole(path / SWEEP_SETTINGS, tomli_w.dumps(settings).encode())
-    return open_store(path, plan, workers, begun)
+    return open_store(path, plan, workers, is_begun)
 
 
 def made_by(path: Path) -> Mapping[str, Any]:
-    """Return the versions and digests of code that the sweep in *path* was begun with; none where it tells none."""
+    """Return the versions and digests of the code with which the sweep in *path* was begun; empty if unknown."""
     try:
         return Store(path).made_by()
-    except InputError:  # not begun, or damaged: it is written anew
+    except InputError:  # not begun, or damaged: it is written again
         return {}
 
 
 def run_cells(
-    cells: BenchCells, path: Path, workers: int, limits: WorkerLimits, teller: ProgressReporter
+    cells: BenchCells, path: Path, workers: int, limits: WorkerLimits, reporter: ProgressReporter
 ) -> Store:
-    """Run what is missing in *path* and return the store.
+    """Run the episodes that *path* lacks and return the store.
 
     Raises:
-        FileError: results cannot be stored; what had finished is.
+        FileError: results cannot be stored; those of earlier episodes are.
     """
     store = open_bench_store(path, cells.plan, workers)
-    todo = RemainingJobs.of(cells.plan, store)
-    teller.begin("episodes", len(todo.jobs) + todo.done, todo.done)
-    counted = EpisodeCount(teller.step)
-    run_sweep(cells.plan, store, todo, ProcessExecutor(workers, limits), _RETRIES, counted.tell)
+    remaining = RemainingJobs.of(cells.plan, store)
+    reporter.begin("episodes", len(remaining.jobs) + remaining.done, remaining.done)
+    episode_count = EpisodeCount(reporter.step)
+    run_sweep(cells.plan, store, remaining, ProcessExecutor(workers, limits), _RETRIES, episode_count.tell)
     return store

@@ -1,4 +1,4 @@
-"""``bench defects``: what each background is worth as a test, in planted defects that it detects."""
+"""``bench defects``: evaluates each background as a test by the planted defects that it detects."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from advdiff_sumo.experiments.bench.detection import (
     Detection,
     EpisodeOutcome,
     FirstDetection,
-    Tried,
+    SceneOutcomes,
     detections,
     first_detection,
     ranking_auc,
-    too_few,
+    too_few_scenes,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import findings_text, first_costs
@@ -43,30 +43,30 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Contest:
-    """One target before one background.
+    """One target with one background.
 
     Attributes:
         background: key of the background's row.
         target: as registered.
-        sound: what the sound target came to.
-        defective: the same with each defect, by its name.
-        detections: what is detected.
-        first: after how much; None where nothing is.
-        auc: how well valid failures rank the target with a defect above the sound targets before this background,
-            ``careful`` among them; None without a defect.
+        sound: outcomes of the sound target.
+        defective: outcomes with each defect, by its name.
+        detections: the test of each defect.
+        first: effort until the first detection; None if no defect is detected.
+        auc: how well valid failures rank the target with a defect above the sound targets with this background,
+            including ``careful``; None without a defect.
     """
 
     background: str
     target: str
-    sound: Tried
-    defective: Mapping[str, Tried]
+    sound: SceneOutcomes
+    defective: Mapping[str, SceneOutcomes]
     detections: tuple[Detection, ...]
     first: FirstDetection | None
     auc: float | None
 
 
 def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
-    """Write what is detected, and return the table.
+    """Write the files of detections and findings, and return the table.
 
     Raises:
         FileError: it cannot be written.
@@ -75,74 +75,77 @@ def defects_of(gathered: Gathered, cells: BenchCells, folder: Folder) -> Table:
     write_whole(folder.path / DETECTIONS, detections_text(contests).encode())
     write_whole(folder.path / FIRST, first_text(contests).encode())
     write_whole(folder.path / BY_STRATUM, by_stratum_text(contests, cells).encode())
-    costs = {(one.background, one.target): first_costs(one.sound, one.defective) for one in contests}
-    ranked = {(one.background, one.target): one.auc for one in contests}
-    write_whole(folder.path / FINDINGS, findings_text(gathered, costs, ranked).encode())
+    by_key = {(contest.background, contest.target): contest for contest in contests}
+    costs = {key: first_costs(contest.sound, contest.defective) for key, contest in by_key.items()}
+    aucs = {key: contest.auc for key, contest in by_key.items()}
+    write_whole(folder.path / FINDINGS, findings_text(gathered, costs, aucs).encode())
     return defects_table(contests, gathered, cells, folder)
 
 
 def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
-    """Return each target before each background, in the order of the cells."""
+    """Return the contest of each target and background, in the order of the cells."""
     order = scene_order(cells)
-    tried: dict[tuple[str, str], dict[str, Tried]] = {}
+    by_cell: dict[tuple[str, str], dict[str, SceneOutcomes]] = {}
     for cell, episodes in gathered.finished.items():
-        tried.setdefault((cell.row, cell.target), {})[cell.defect] = _tried(episodes, order)
+        outcomes = _scene_outcomes(episodes, order)
+        by_cell.setdefault((cell.row, cell.target), {})[cell.defect] = outcomes
     sound_shares: dict[str, list[float]] = {}
-    for (background, _), by_defect in tried.items():
-        sound_shares.setdefault(background, []).extend(_shares([by_defect[SOUND]]))
+    for (background, _), by_defect in by_cell.items():
+        sound_shares.setdefault(background, []).extend(_failure_shares([by_defect[SOUND]]))
     contests = []
-    for (background, target), by_defect in tried.items():
+    for (background, target), by_defect in by_cell.items():
         sound = by_defect.pop(SOUND)
         detected, first = detections(sound, by_defect), first_detection(sound, by_defect)
-        auc = ranking_auc(sound_shares[background], _shares(by_defect.values()))
+        auc = ranking_auc(sound_shares[background], _failure_shares(by_defect.values()))
         contests.append(Contest(background, target, sound, by_defect, detected, first, auc))
     return tuple(contests)
 
 
 def scene_order(cells: BenchCells) -> Mapping[str, int]:
-    """Return the place of each seed scene, by its key, in the list, in which nets and strata take turns."""
-    places = {scene.place: k for k, scene in enumerate(cells.scenes.scenes)}
-    runs = list(cells.scenes.counts())
-    return {job.scene_key: places[(*runs[job.cell % len(runs)], job.number)] for job in cells.plan.jobs}
+    """Return seed scene's key → its position in the list, in which nets and strata take turns."""
+    positions = {scene.place: k for k, scene in enumerate(cells.scenes.scenes)}
+    groups = list(cells.scenes.counts())
+    jobs = cells.plan.jobs
+    return {job.scene_key: positions[(*groups[job.cell % len(groups)], job.number)] for job in jobs}
 
 
 def defects_table(
     contests: tuple[Contest, ...], gathered: Gathered, cells: BenchCells, folder: Folder
 ) -> Table:
-    """Return the table: a column a background, a row a defect."""
+    """Return the table with a column for each background and a row for each defect."""
     names = tuple(dict.fromkeys(contest.background for contest in contests))
     heads = tuple(Head(name, policy_row(name).title, "%", 100.0, 1) for name in names)
     lines: list[Line] = []
     for target in dict.fromkeys(contest.target for contest in contests):
-        here = {contest.background: contest for contest in contests if contest.target == target}
-        lines.append(_sound_line(target, here))
-        defects = tuple(dict.fromkeys(name for contest in here.values() for name in contest.defective))
-        lines += [_defect_line(target, defect, here) for defect in defects]
+        by_background = {contest.background: contest for contest in contests if contest.target == target}
+        lines.append(_sound_line(target, by_background))
+        defects = dict.fromkeys(name for contest in by_background.values() for name in contest.defective)
+        lines += [_defect_line(target, defect, by_background) for defect in defects]
         if defects:
-            lines.append(_score_line(target, here))
+            lines.append(_score_line(target, by_background))
     scenes = cells.scenes
     title = f"Planted defects: {counted(len(scenes.scenes), 'seed scene')}, {folder.request.horizon_s:g} s"
-    firsts = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
-    planted = {one.target: len(one.detections) for one in contests}
-    lacking = (too_few(len(scenes.scenes), target, count) for target, count in planted.items())
-    firsts = (*firsts, *(sentence for sentence in lacking if sentence))
-    notes = (*NOTES, *firsts, *_source_note(folder), *notes_of(gathered, scenes, folder, ()))
+    sentences = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
+    planted_count = {one.target: len(one.detections) for one in contests}
+    warnings = (too_few_scenes(len(scenes.scenes), target, count) for target, count in planted_count.items())
+    sentences = (*sentences, *(sentence for sentence in warnings if sentence))
+    notes = (*NOTES, *sentences, *_source_note(folder), *notes_of(gathered, scenes, folder, ()))
     return Table("defects", title, heads, tuple(lines), _gaps(contests), notes)
 
 
 def detections_text(contests: tuple[Contest, ...]) -> str:
-    """Return one line a defect, target and background: what was counted and how it was tested."""
+    """Return a CSV line for each defect, target and background: counts and test."""
     rows = []
     for contest in contests:
-        for one in contest.detections:
-            numbers = (getattr(one, name) for name in COUNTS)
-            tested = (f"{one.p:.6g}", f"{one.adjusted:.6g}", str(one.detected).lower())
-            rows.append((contest.background, contest.target, one.defect, *numbers, *tested))
+        for detection in contest.detections:
+            numbers = (getattr(detection, name) for name in COUNTS)
+            test = (f"{detection.p:.6g}", f"{detection.adjusted:.6g}", str(detection.detected).lower())
+            rows.append((contest.background, contest.target, detection.defect, *numbers, *test))
     return comma_separated(("background", "target", "defect", *COUNTS, "p", "p_holm", "detected"), rows)
 
 
 def first_text(contests: tuple[Contest, ...]) -> str:
-    """Return one line a target and background: what its first detection cost; the seconds differ between machines."""
+    """Return a CSV line for each target and background: cost of its first detection; CPU times vary by machine."""
     names = (
         "background",
         "target",
@@ -159,62 +162,64 @@ def first_text(contests: tuple[Contest, ...]) -> str:
         if not contest.defective:
             continue
         detected = sum(one.detected for one in contest.detections)
-        every = sum(one.cpu_s for x in (contest.sound, *contest.defective.values()) for one in x.values())
+        outcomes = [one for tried in (contest.sound, *contest.defective.values()) for one in tried.values()]
+        total_cpu_s = sum(outcome.cpu_s for outcome in outcomes)
         first = contest.first
         cost = ("", "", "", "")
         if first is not None:
             cost = (" ".join(first.defects), str(first.scenes), str(first.episodes), f"{first.cpu_s:.1f}")
         planted = len(contest.detections)
-        rows.append((contest.background, contest.target, detected, planted, *cost, f"{every:.1f}"))
+        rows.append((contest.background, contest.target, detected, planted, *cost, f"{total_cpu_s:.1f}"))
     return comma_separated(names, rows)
 
 
 def by_stratum_text(contests: tuple[Contest, ...], cells: BenchCells) -> str:
-    """Return one line a net, stratum of the seed scenes, defect, target and background: its valid failures."""
-    listed = cells.scenes.scenes
-    parts = {key: (listed[place].net, listed[place].stratum) for key, place in scene_order(cells).items()}
+    """Return a CSV line for each background, target, defect, net and stratum of seed scenes: its valid failures."""
+    scenes = cells.scenes.scenes
+    strata = {key: (scenes[k].net, scenes[k].stratum) for key, k in scene_order(cells).items()}
     rows = []
     for contest in contests:
-        for defect, tried in ((SOUND, contest.sound), *contest.defective.items()):
-            for part in dict.fromkeys(parts[scene] for scene in tried):
-                failed = [one.failed for scene, one in tried.items() if parts[scene] == part]
+        for defect, outcomes in ((SOUND, contest.sound), *contest.defective.items()):
+            for part in dict.fromkeys(strata[scene] for scene in outcomes):
+                failed = [outcome.failed for scene, outcome in outcomes.items() if strata[scene] == part]
                 rows.append((contest.background, contest.target, defect, *part, len(failed), sum(failed)))
     names = ("background", "target", "defect", "net", "stratum", "scenes", "failures")
     return comma_separated(names, rows)
 
 
-def _tried(episodes: list[EpisodeResult], order: Mapping[str, int]) -> Tried:
-    ranked = sorted(episodes, key=lambda one: order[one.scene])
-    return {one.scene: EpisodeOutcome.of(one.row, one.cpu_s) for one in ranked}
+def _scene_outcomes(episodes: list[EpisodeResult], order: Mapping[str, int]) -> SceneOutcomes:
+    ordered = sorted(episodes, key=lambda result: order[result.scene])
+    return {result.scene: EpisodeOutcome.of(result.row, result.cpu_s) for result in ordered}
 
 
-def _shares(some: Iterable[Tried]) -> list[float]:
-    """Return how often each failed; one of which no episode finished has no share."""
-    return [sum(one.failed for one in tried.values()) / len(tried) for tried in some if tried]
+def _failure_shares(planners: Iterable[SceneOutcomes]) -> list[float]:
+    """Return the share of valid failures of each planner with finished episodes."""
+    return [sum(one.failed for one in outcomes.values()) / len(outcomes) for outcomes in planners if outcomes]
 
 
-def _rate(tried: Tried) -> Ratio:
-    return ratio(list(tried), [float(one.failed) for one in tried.values()], [1.0] * len(tried), rate=True)
+def _rate(outcomes: SceneOutcomes) -> Ratio:
+    flags = [float(outcome.failed) for outcome in outcomes.values()]
+    return ratio(list(outcomes), flags, [1.0] * len(outcomes), rate=True)
 
 
-def _sound_line(target: str, here: Mapping[str, Contest]) -> Line:
-    cells = {name: Cell(estimate(_rate(contest.sound))) for name, contest in here.items()}
+def _sound_line(target: str, by_background: Mapping[str, Contest]) -> Line:
+    cells = {name: Cell(estimate(_rate(contest.sound))) for name, contest in by_background.items()}
     return Line(SOUND, target, SOUND, cells, reference=True)
 
 
-def _defect_line(target: str, defect: str, here: Mapping[str, Contest]) -> Line:
+def _defect_line(target: str, defect: str, by_background: Mapping[str, Contest]) -> Line:
     cells = {}
-    for name, contest in here.items():
+    for name, contest in by_background.items():
         if defect in contest.defective:
-            detected = any(one.detected for one in contest.detections if one.defect == defect)
+            detected = any(test.detected for test in contest.detections if test.defect == defect)
             cells[name] = Cell(estimate(_rate(contest.defective[defect])), best=detected)
     return Line(defect, target, defect, cells)
 
 
-def _score_line(target: str, here: Mapping[str, Contest]) -> Line:
+def _score_line(target: str, by_background: Mapping[str, Contest]) -> Line:
     cells = {}
-    for name, contest in here.items():
-        share = sum(one.detected for one in contest.detections) / len(contest.detections)
+    for name, contest in by_background.items():
+        share = sum(detection.detected for detection in contest.detections) / len(contest.detections)
         cells[name] = Cell(Estimate(share, n=len(contest.detections)))
     return Line("score", target, SCORE, cells)
 
@@ -222,34 +227,34 @@ def _score_line(target: str, here: Mapping[str, Contest]) -> Line:
 def _gaps(contests: tuple[Contest, ...]) -> tuple[Gap, ...]:
     gaps = []
     for contest in contests:
-        for one in contest.detections:
-            if one.only_defect or one.only_sound:
-                change = difference(_rate(contest.defective[one.defect]), _rate(contest.sound))
-                change = replace(change, p=one.adjusted)
-                gaps.append(Gap(contest.target, contest.background, one.defect, SOUND, change))
+        for detection in contest.detections:
+            if detection.only_defect or detection.only_sound:
+                change = difference(_rate(contest.defective[detection.defect]), _rate(contest.sound))
+                change = replace(change, p=detection.adjusted)
+                gaps.append(Gap(contest.target, contest.background, detection.defect, SOUND, change))
     return tuple(gaps)
 
 
 def _first_note(contest: Contest) -> str:
-    detected = sum(one.detected for one in contest.detections)
+    detected = sum(detection.detected for detection in contest.detections)
     title, planted = policy_row(contest.background).title, len(contest.detections)
     sentence = f"{title} detects {detected} of {planted} in {contest.target}"
     first = contest.first
     if first is None:
         return f"{sentence}."
     names = in_series(first.defects)
-    tried = f"{counted(first.scenes, 'scene')}, {counted(first.episodes, 'episode')}"
-    return f"{sentence}; the first, {names}, after {tried}."
+    effort = f"{counted(first.scenes, 'scene')}, {counted(first.episodes, 'episode')}"
+    return f"{sentence}; the first, {names}, after {effort}."
 
 
 def _source_note(folder: Folder) -> tuple[str, ...]:
-    """Return which seed scenes those of nets are, in the words of ``run``."""
+    """Return a note on the seed scenes of a request with nets, named as for ``run``."""
     request = folder.request
     if not request.nets:
         return ()
-    turns = " in turn" if len(request.nets) > 1 else ""
+    in_turn = " in turn" if len(request.nets) > 1 else ""
     seed = request.episode.seed
-    return (f"Seed scenes: the first {request.scenes} of {', '.join(request.nets)}{turns}, seed {seed}.",)
+    return (f"Seed scenes: the first {request.scenes} of {', '.join(request.nets)}{in_turn}, seed {seed}.",)
 
 
 def _rank_note(auc: float | None) -> str:

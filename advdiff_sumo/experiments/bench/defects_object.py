@@ -14,7 +14,7 @@ from advdiff_sumo.experiments.bench.table import Table
 
 
 def defects_object(path: Path, table: Table) -> dict[str, Any]:
-    """Return what the bench in *path*, whose table is *table*, came to.
+    """Return the result of the bench in *path*, whose table is *table*.
 
     Returns:
         ``folder``; ``detected`` and ``planted``, counts over all backgrounds and targets; ``defects``, an object each
@@ -33,7 +33,7 @@ def defects_object(path: Path, table: Table) -> dict[str, Any]:
         raise FileError(file, f"cannot be read ({error})", "choose a new --out") from None
     return {
         "folder": str(path),
-        "detected": sum(one["detected"] for one in defects),
+        "detected": sum(defect["detected"] for defect in defects),
         "planted": len(defects),
         "defects": defects,
         "sound": _sound(table),

@@ -1,4 +1,4 @@
-"""Which defects a background detects: valid failures beside the sound planner's on the same seed scenes."""
+"""Tests which defects a background detects: compares valid failures with the sound planner's, scene by scene."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.metrics.statistics import holm, mcnemar_more
 
 LEVEL = 0.05
-"""A defect is detected where its adjusted p is below it."""
+"""A defect is detected if its adjusted p is below this level."""
 
 
 @dataclass(frozen=True)
 class EpisodeOutcome:
-    """What an episode came to.
+    """The outcome of an episode.
 
     Attributes:
-        failed: the target failed validly.
-        cpu_s: processor time that it took.
+        failed: it ended in a valid failure.
+        cpu_s: its processor time.
     """
 
     failed: bool
@@ -28,27 +28,27 @@ class EpisodeOutcome:
 
     @staticmethod
     def of(row: Mapping[str, Any], cpu_s: float | None) -> EpisodeOutcome:
-        """Return that of a row of ``episodes``; what cannot be judged is no valid failure."""
+        """Return the outcome of a row of ``episodes``; a collision that cannot be judged is no valid failure."""
         return EpisodeOutcome(is_valid_failure(row), cpu_s or 0.0)
 
 
-Tried: TypeAlias = Mapping[str, EpisodeOutcome]
-"""Seed scene → what came of it, in the order in which the scenes are tried."""
+SceneOutcomes: TypeAlias = Mapping[str, EpisodeOutcome]
+"""Seed scene → outcome of its episode, in the order of the scenes."""
 
 
 @dataclass(frozen=True)
 class Detection:
-    """One defect before one background.
+    """The test of one defect with one background.
 
     Attributes:
         defect: its name with its severity.
-        scenes: how many both finished.
-        failures: in how many the defective target failed validly.
-        sound_failures: in how many the sound one did.
-        only_defect: in how many the defective one alone did.
-        only_sound: in how many the sound one alone did.
+        scenes: number of scenes that both targets finished.
+        failures: scenes with a valid failure of the defective target.
+        sound_failures: scenes with a valid failure of the sound target.
+        only_defect: scenes in which only the defective target failed.
+        only_sound: scenes in which only the sound target failed.
         p: exact McNemar test, one-sided.
-        adjusted: the same after Holm over the defects.
+        adjusted: *p* after Holm's correction over the defects.
     """
 
     defect: str
@@ -62,19 +62,19 @@ class Detection:
 
     @property
     def detected(self) -> bool:
-        """Whether its failures exceed the sound planner's."""
+        """Whether its failures significantly exceed the sound planner's."""
         return self.adjusted < LEVEL
 
 
 @dataclass(frozen=True)
 class FirstDetection:
-    """When the first defect was detected.
+    """The effort until the first defect was detected.
 
     Attributes:
-        defects: those detected then.
-        scenes: tried until then.
-        episodes: of the sound target and of all defects in them.
-        cpu_s: processor time of these.
+        defects: those detected first.
+        scenes: number of scenes until then.
+        episodes: number of episodes of the sound target and of all defects in these scenes.
+        cpu_s: processor time of these episodes.
     """
 
     defects: tuple[str, ...]
@@ -83,13 +83,15 @@ class FirstDetection:
     cpu_s: float
 
 
-def detections(sound: Tried, defective: Mapping[str, Tried]) -> tuple[Detection, ...]:
-    """Return how each of *defective* compares with *sound*, in their order."""
-    counted = []
-    for name, tried in defective.items():
-        pairs = [(one.failed, sound[scene].failed) for scene, one in tried.items() if scene in sound]
-        counted.append((name, pairs, pairs.count((True, False)), pairs.count((False, True))))
-    p_values = [mcnemar_more(only_defect, only_sound) for *_, only_defect, only_sound in counted]
+def detections(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]) -> tuple[Detection, ...]:
+    """Return the test of each of *defective* against *sound*, in their order."""
+    comparisons = []
+    for name, outcomes in defective.items():
+        pairs = [
+            (outcome.failed, sound[scene].failed) for scene, outcome in outcomes.items() if scene in sound
+        ]
+        comparisons.append((name, pairs, pairs.count((True, False)), pairs.count((False, True))))
+    p_values = [mcnemar_more(only_defect, only_sound) for *_, only_defect, only_sound in comparisons]
     return tuple(
         Detection(
             defect=name,
@@ -102,21 +104,21 @@ def detections(sound: Tried, defective: Mapping[str, Tried]) -> tuple[Detection,
             adjusted=adjusted,
         )
         for (name, pairs, only_defect, only_sound), p, adjusted in zip(
-            counted, p_values, holm(p_values), strict=True
+            comparisons, p_values, holm(p_values), strict=True
         )
     )
 
 
 def least_scenes(planted: int) -> int:
-    """Return in how many scenes, the sound target failing in none, one of *planted* defects must fail to be seen."""
+    """Return how many failed scenes are needed to detect one of *planted* defects if the sound target never fails."""
     scenes = 1
     while holm([mcnemar_more(scenes, 0)] * planted)[0] >= LEVEL:
         scenes += 1
     return scenes
 
 
-def too_few(scenes: int, target: str, planted: int) -> str:
-    """Return a sentence where so many *scenes* cannot detect any defect, whatever fails in them; else ""."""
+def too_few_scenes(scenes: int, target: str, planted: int) -> str:
+    """Return a warning if no defect can be detected in so few *scenes*, whatever their outcomes; else ""."""
     if not planted or (least := least_scenes(planted)) <= scenes:
         return ""
     p = holm([mcnemar_more(scenes, 0)] * planted)[0]
@@ -128,29 +130,31 @@ def too_few(scenes: int, target: str, planted: int) -> str:
     )
 
 
-def first_detection(sound: Tried, defective: Mapping[str, Tried]) -> FirstDetection | None:
-    """Return after how many of the sound target's scenes, in their order, a defect is detected; None for never."""
+def first_detection(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]) -> FirstDetection | None:
+    """Return the effort until a defect is detected, adding the sound target's scenes one by one; None: never."""
     for count in range(1, len(sound) + 1):
         scenes = dict(islice(sound.items(), count))
-        parts = {
-            name: {s: one for s, one in tried.items() if s in scenes} for name, tried in defective.items()
+        so_far = {
+            name: {scene: outcome for scene, outcome in tried.items() if scene in scenes}
+            for name, tried in defective.items()
         }
-        names = tuple(one.defect for one in detections(scenes, parts) if one.detected)
+        names = tuple(test.defect for test in detections(scenes, so_far) if test.detected)
         if names:
-            outcomes = [one for tried in (scenes, *parts.values()) for one in tried.values()]
-            return FirstDetection(names, count, len(outcomes), sum(one.cpu_s for one in outcomes))
+            outcomes = [outcome for tried in (scenes, *so_far.values()) for outcome in tried.values()]
+            return FirstDetection(names, count, len(outcomes), sum(outcome.cpu_s for outcome in outcomes))
     return None
 
 
 def ranking_auc(sound: Sequence[float], defective: Sequence[float]) -> float | None:
-    """Return how often the valid-failure rate of a defective planner exceeds a sound one's, a tie counting half.
+    """Return how well rates of valid failures separate defective from sound planners.
 
-    That is the area under the ROC curve of the rate as a judge of planners (Hanley and McNeil 1982,
-    doi:10.1148/radiology.143.1.7063747): 1 where every defective planner ranks above every sound one.
+    It is the share of pairs in which the defective planner's rate exceeds the sound one's; ties count half. This is the
+    area under the ROC curve (Hanley and McNeil 1982, doi:10.1148/radiology.143.1.7063747): 1 if every defective planner
+    ranks above every sound one.
 
     Args:
         sound: rates of sound planners.
-        defective: rates of planners with a defect; None is returned where either is empty.
+        defective: rates of planners with a defect. None is returned if either is empty.
     """
     pairs = [(d > s) + 0.5 * (d == s) for d in defective for s in sound]
     return sum(pairs) / len(pairs) if pairs else None

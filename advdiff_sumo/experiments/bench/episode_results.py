@@ -1,4 +1,4 @@
-"""Episodes of a bench's sweep with their traces, which workers compute once and the folder keeps."""
+"""Reads the episodes of a bench's sweep, with traces that workers compute once and the folder stores."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class EpisodeResult:
     Attributes:
         scene: key of its seed scene; the same for all cells.
         row: of ``episodes``.
-        trace: of its background; ``UNTRACED`` where nobody asks for it.
-        plan_s: median time of a plan of the background; None where it plans nothing.
-        cpu_s: processor time of the episode; None where it was not measured.
+        trace: of its background; ``UNTRACED`` if the table does not need it.
+        plan_s: median time of a plan of the background; None if it plans nothing.
+        cpu_s: processor time of the episode; None if it was not measured.
     """
 
     scene: str
@@ -38,11 +38,11 @@ class EpisodeResult:
 
 @dataclass
 class Gathered:
-    """What a sweep came to.
+    """The episodes of a sweep.
 
     Attributes:
-        finished: episodes of each cell, in the order of the scenes.
-        failed: how many each cell lost, by what kind of failure.
+        finished: of each cell, in the order of the scenes.
+        failed: of each cell, number of failed episodes by kind of failure.
     """
 
     finished: dict[BenchCell, list[EpisodeResult]] = field(default_factory=dict)
@@ -50,32 +50,37 @@ class Gathered:
 
 
 def gather(
-    cells: BenchCells, store: Store, cache: Path, workers: int, teller: ProgressReporter, judged: bool = True
+    cells: BenchCells,
+    store: Store,
+    cache: Path,
+    workers: int,
+    reporter: ProgressReporter,
+    with_likelihood: bool = True,
 ) -> Gathered:
-    """Return all finished episodes of *cells*; their traces are made where *cache* lacks them.
+    """Return all finished episodes of *cells*; missing traces are computed and stored in *cache*.
 
     Args:
-        cells: what was asked for.
+        cells: of the bench.
         store: of their sweep.
         cache: folder of traces.
-        workers: processes.
-        teller: hears how far it is.
-        judged: traces are to have likelihoods and solutions, which is what takes long.
+        workers: number of processes.
+        reporter: shows the progress.
+        with_likelihood: traces include likelihoods and solutions, which take long to compute.
     """
     cache.mkdir(parents=True, exist_ok=True)
     jobs = list(cells.jobs())
-    lacking = {
+    missing = {
         job.key: cells.plan.options(job).net for _, job in jobs if read_checked(cache / job.key) is None
     }
-    teller.begin("what the background did", len(jobs), len(jobs) - len(lacking))
-    tasks = {key: (trace_of, store.path, key, net, judged) for key, net in lacking.items()}
+    reporter.begin("what the background did", len(jobs), len(jobs) - len(missing))
+    tasks = {key: (trace_of, store.path, key, net, with_likelihood) for key, net in missing.items()}
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
-        teller.step()
+        reporter.step()
     gathered = Gathered()
     for cell, job in jobs:
         content = read_checked(cache / job.key)
-        _take(gathered, cell, job, store, BackgroundTrace.from_bytes(content) if content else None)
+        _add_episode(gathered, cell, job, store, BackgroundTrace.from_bytes(content) if content else None)
     return gathered
 
 
@@ -83,31 +88,33 @@ def gather_rows(cells: BenchCells, store: Store) -> Gathered:
     """Return all finished episodes of *cells* without traces."""
     gathered = Gathered()
     for cell, job in cells.jobs():
-        _take(gathered, cell, job, store, UNTRACED)
+        _add_episode(gathered, cell, job, store, UNTRACED)
     return gathered
 
 
-def _take(gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: BackgroundTrace | None) -> None:
+def _add_episode(
+    gathered: Gathered, cell: BenchCell, job: Job, store: Store, trace: BackgroundTrace | None
+) -> None:
     results, failed = gathered.finished.setdefault(cell, []), gathered.failed.setdefault(cell, {})
-    part = store.read(job.key)
-    if part is None:
+    stored = store.read(job.key)
+    if stored is None:
         return
-    if part.failed is not None:
-        failed[part.failed.kind] = failed.get(part.failed.kind, 0) + 1
-    if trace is None or "episodes" not in part.tables:
+    if stored.failed is not None:
+        failed[stored.failed.kind] = failed.get(stored.failed.kind, 0) + 1
+    if trace is None or "episodes" not in stored.tables:
         return
-    (row,) = part.tables["episodes"].to_pylist()
-    (timing,) = part.tables["timing"].to_pylist()
+    (row,) = stored.tables["episodes"].to_pylist()
+    (timing,) = stored.tables["timing"].to_pylist()
     if is_failure(row):
         return
     plan_s, cpu_s = timing["background_plan_p50_s"], timing.get("cpu_s")
     results.append(EpisodeResult(job.scene_key, row, trace, plan_s, cpu_s))
 
 
-def failures_told(gathered: Gathered, names: Iterable[BenchCell]) -> str:
-    """Return a sentence on failed episodes; empty where there are none."""
+def failures_sentence(gathered: Gathered, cells: Iterable[BenchCell]) -> str:
+    """Return a sentence on failed episodes; "" if there are none."""
     parts = []
-    for cell in names:
+    for cell in cells:
         for kind, count in sorted(gathered.failed.get(cell, {}).items()):
             parts.append(f"{count} of {cell.background} against {cell.target} ({kind})")
     return f"Episodes that failed and do not count: {'; '.join(parts)}." if parts else ""

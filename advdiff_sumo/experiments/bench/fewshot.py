@@ -1,4 +1,4 @@
-"""``bench fewshot``: collision rate against warm-up steps, for targets that Q has never met (the paper's Fig. 3)."""
+"""``bench fewshot``: collision rate by steps of warm-up, for targets unknown to Q (the paper's Fig. 3)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
 from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes
-from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen
-from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, licensed, refits_q
+from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen_names
+from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, refits_q, with_licence
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Estimate, Ratio, estimate
@@ -52,13 +52,13 @@ GUIDES: Mapping[str, str] = {
     "reward-only": "guided by Q alone",
     "reward": "guided by Q and the attack's terms",
 }
-"""Rows: what is warmed up and counted, the paper's guide and the default one."""
+"""Guides of the rows, in warm-up and evaluation: the paper's and the default one."""
 ALL = "all targets"
 REFITTED = "refits Q alone (Sec. III-C)"
 LEARNT = (
     "learns in which encounters it fails, by which manoeuvres are chosen; Q stays (docs/lawful-attacks.md)"
 )
-"""What a warm-up does under the paper's licence, and under any other."""
+"""What a warm-up does under the paper's licence (``REFITTED``) and under any other (``LEARNT``)."""
 NOTES = (
     "Each warm-up meets the target on seed scenes that no table uses and {does}; the episodes that are counted "
     "start from the same seed scenes at every step. Intervals: bootstrap over warm-ups and scenes at once (Owen 2007, "
@@ -68,33 +68,35 @@ NOTES = (
 
 
 def marks_of(steps: int) -> tuple[int, ...]:
-    """Return the rungs of the ladder: thirds of *steps*, for the default 30, 60 and 90."""
+    """Return the numbers of steps after which rates are measured: thirds of *steps*, by default 30, 60 and 90."""
     return tuple(sorted({max(1, round(steps * k / RUNGS)) for k in range(1, RUNGS + 1)}))
 
 
-def plan_fewshot(folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter) -> BenchCells:
-    """Make the warm-ups and return the cells that the request asks for.
+def plan_fewshot(
+    folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter
+) -> BenchCells:
+    """Run the warm-ups and return the cells of the request.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
-        EpisodeFailure: a warm-up comes to nothing.
+        EpisodeFailure: a warm-up fails.
     """
     request = folder.request
-    scenes, names = asked_of_fewshot(request, folder.path)
-    q = folder.path / "adapted"
-    wanted = {
+    scenes, names = resolve_fewshot_request(request, folder.path)
+    results_folder = folder.path / "adapted"
+    adaptations = {
         (guide, name, seed): _adaptation(guide, name, seed, folder)
         for guide in GUIDES
         for name in names
         for seed in range(request.seeds)
     }
-    adapt(list(wanted.values()), q, workers, limits, teller)
-    licence = licensed(PAPERS_LICENCE, request)
+    adapt(list(adaptations.values()), results_folder, workers, limits, reporter)
+    licence = with_licence(PAPERS_LICENCE, request)
     cells = [_bench_cell(licence, guide, name, 0, 0) for guide in GUIDES for name in names]
     cells += [
-        _bench_cell(licence, guide, name, seed, mark, one.path(q, mark))
-        for (guide, name, seed), one in wanted.items()
-        for mark in one.marks
+        _bench_cell(licence, guide, name, seed, mark, adaptation.path(results_folder, mark))
+        for (guide, name, seed), adaptation in adaptations.items()
+        for mark in adaptation.marks
     ]
     return plan_cells(cells, scenes, request.horizon_s)
 
@@ -103,12 +105,14 @@ def _bench_cell(
     licence: Mapping[str, Any], guide: str, name: str, seed: int, mark: int, reward: Path | None = None
 ) -> BenchCell:
     options = {**licence, "guide": guide} | ({} if reward is None else {"reward": str(reward.resolve())})
-    row, target = _row(guide, name, seed, mark), _of(name)
-    return BenchCell(row, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
+    key, target = _row_key(guide, name, seed, mark), _unseen_target(name)
+    return BenchCell(key, target.target, "diffusion", target.options, options, like=f"--guide {guide}")
 
 
-def asked_of_fewshot(request: Request, folder: Path | None = None) -> tuple[SceneList, tuple[str, ...]]:
-    """Return the seed scenes and targets that the request asks for; *folder* of the bench where it is begun.
+def resolve_fewshot_request(
+    request: Request, folder: Path | None = None
+) -> tuple[SceneList, tuple[str, ...]]:
+    """Return the seed scenes and targets of the request; *folder* of the bench once it is begun.
 
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
@@ -116,13 +120,13 @@ def asked_of_fewshot(request: Request, folder: Path | None = None) -> tuple[Scen
     if request.policies:
         raise ConfigError("--policies: bench fewshot is of background diffusion alone; leave it out")
     scenes = bench_scenes(request.scenes, TABLE_LIST, folder)
-    usual = {name: one.target for name, one in UNSEEN.items()}
-    names, _ = chosen(request.targets, usual, TARGETS, "--targets", _made)
+    defaults = {name: unseen.target for name, unseen in UNSEEN.items()}
+    names, _ = chosen_names(request.targets, defaults, TARGETS, "--targets", _make_unseen)
     return scenes, names
 
 
 def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Table:
-    """Return the table of what was gathered: a row for each guide and target, a column for each step of the ladder."""
+    """Return the table: a row for each guide and target, a column for each number of steps."""
     request = folder.request
     marks = (0, *marks_of(request.steps))
     heads = tuple(Head(f"steps_{mark}", f"{mark} steps", "%", 100.0, 1, "high") for mark in marks)
@@ -130,41 +134,43 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
     names = tuple(dict.fromkeys(row.partition("/")[2].rsplit("/", 2)[0] for row in by_row))
 
     def ladder(guide: str, name: str) -> list[Pooled]:
-        ends = [[_row(guide, name, seed, mark) for seed in range(request.seeds)] for mark in marks[1:]]
-        later = [pooled([by_row[row] for row in rows]) for rows in ends]
-        return [pooled([by_row[_row(guide, name, 0, 0)]]), *later]
+        row_keys = [
+            [_row_key(guide, name, seed, mark) for seed in range(request.seeds)] for mark in marks[1:]
+        ]
+        after_marks = [pooled([by_row[row] for row in rows]) for rows in row_keys]
+        return [pooled([by_row[_row_key(guide, name, 0, 0)]]), *after_marks]
 
     rows: dict[tuple[str, str], list[Pooled]] = {}
     for guide in GUIDES:
-        own = [ladder(guide, name) for name in names]
-        rows |= {(guide, name): one for name, one in zip(names, own, strict=True)}
+        ladders = [ladder(guide, name) for name in names]
+        rows |= {(guide, name): pooled_rates for name, pooled_rates in zip(names, ladders, strict=True)}
         if len(names) > 1:
-            rows[guide, ALL] = [averaged(column) for column in zip(*own, strict=True)]
+            rows[guide, ALL] = [averaged(column) for column in zip(*ladders, strict=True)]
     lines = tuple(
-        Line(f"{guide}/{name}", GUIDES[guide], name, _cells(heads, one))
-        for (guide, name), one in rows.items()
+        Line(f"{guide}/{name}", GUIDES[guide], name, _cells(heads, pooled_rates))
+        for (guide, name), pooled_rates in rows.items()
     )
     gaps = tuple(
-        Gap(f"{GUIDES[guide]}: {name}", head.key, head.title, "0 steps", after.less(one[0]))
-        for (guide, name), one in rows.items()
-        for head, after in zip(heads[1:], one[1:], strict=True)
+        Gap(f"{GUIDES[guide]}: {name}", head.key, head.title, "0 steps", rates.less(pooled_rates[0]))
+        for (guide, name), pooled_rates in rows.items()
+        for head, rates in zip(heads[1:], pooled_rates[1:], strict=True)
     )
     title = (
         f"Few-shot: collision rate after warm-up, {counted(request.seeds, 'warm-up')}, "
         f"{counted(len(scenes.scenes), 'seed scene')}, {request.horizon_s:g} s"
     )
-    does = REFITTED if refits_q(request) else LEARNT
-    notes = notes_of(gathered, scenes, folder, tuple(note.format(does=does) for note in NOTES))
+    what_is_learnt = REFITTED if refits_q(request) else LEARNT
+    notes = notes_of(gathered, scenes, folder, tuple(note.format(does=what_is_learnt) for note in NOTES))
     return Table("fewshot", title, heads, lines, gaps, notes)
 
 
-def _row(guide: str, name: str, seed: int, mark: int) -> str:
-    """Return the key of a rung; the name of a target may hold slashes and braces, the other parts have none."""
+def _row_key(guide: str, name: str, seed: int, mark: int) -> str:
+    """Return the key of a row; only the name of a target may contain slashes."""
     return f"{guide}/{name}/{seed}/{mark}"
 
 
 def _cells(heads: Sequence[Head], ladder: Sequence[Pooled]) -> dict[str, Cell]:
-    return {head.key: Cell(one.estimate()) for head, one in zip(heads, ladder, strict=True)}
+    return {head.key: Cell(rates.estimate()) for head, rates in zip(heads, ladder, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -173,8 +179,8 @@ class Pooled:
 
     Attributes:
         scenes: keys of the S scenes that all of them finished.
-        hits: (W, S) whether the target collided; of several targets, the share of them.
-        targets: how many they are.
+        hits: (W, S) 1 where the target collided; of several targets, the share that collided.
+        targets: number of targets.
     """
 
     scenes: tuple[str, ...]
@@ -182,12 +188,12 @@ class Pooled:
     targets: int = 1
 
     def at(self, warm_ups: FloatArray, scenes: FloatArray) -> FloatArray:
-        """Return the rate (R,) with warm-ups (R, W) and scenes (R, S) drawn so often."""
+        """Return the rates (R,) if warm-ups are drawn *warm_ups* (R, W) times and scenes *scenes* (R, S) times."""
         total = np.einsum("rw,ws,rs->r", warm_ups, self.hits, scenes)
         return np.asarray(total / (warm_ups.sum(1) * scenes.sum(1)))
 
     def estimate(self) -> Estimate:
-        """Return the rate; with Wilson's interval where there is one warm-up, or all trials end alike."""
+        """Return the rate; with Wilson's interval if there is one warm-up or all trials have the same outcome."""
         if len(self.hits) == 1 and self.targets == 1:
             return estimate(Ratio(self.scenes, self.hits[0], np.ones(len(self.scenes)), rate=True))
         if not self.hits.size:
@@ -196,22 +202,22 @@ class Pooled:
         if value in (0.0, 1.0):  # drawing them again would show no spread
             low, high = wilson(round(value) * scenes, scenes)
         else:
-            low, high = np.percentile(self.at(*_draws(self.hits.shape)), TAILS)
+            low, high = np.percentile(self.at(*_bootstrap_draws(self.hits.shape)), TAILS)
         return Estimate(value, float(low), float(high), self.targets * self.hits.size)
 
     def less(self, before: Pooled) -> Difference:
-        """Return the rate less that of *before*, scenes drawn together."""
-        place = {scene: k for k, scene in enumerate(before.scenes)}
-        rows = [k for k, scene in enumerate(self.scenes) if scene in place]
+        """Return the difference of the rate to that of *before*; the same scenes are drawn for both."""
+        position = {scene: k for k, scene in enumerate(before.scenes)}
+        rows = [k for k, scene in enumerate(self.scenes) if scene in position]
         if not rows:
             return Difference()
-        own = self._rows(np.array(rows))
-        old = before._rows(np.array([place[self.scenes[k]] for k in rows]))
-        warm_ups, scenes = _draws(own.hits.shape)
-        ones = np.ones((len(scenes), len(old.hits)))
-        drawn = np.percentile(own.at(warm_ups, scenes) - old.at(ones, scenes), TAILS)
+        after = self._rows(np.array(rows))
+        earlier = before._rows(np.array([position[self.scenes[k]] for k in rows]))
+        warm_ups, scenes = _bootstrap_draws(after.hits.shape)
+        ones = np.ones((len(scenes), len(earlier.hits)))
+        drawn = np.percentile(after.at(warm_ups, scenes) - earlier.at(ones, scenes), TAILS)
         low, high = spread(float(drawn[0]), float(drawn[1]), len(rows))
-        return Difference(float(own.hits.mean() - old.hits.mean()), low, high, None, len(rows))
+        return Difference(float(after.hits.mean() - earlier.hits.mean()), low, high, None, len(rows))
 
     def _rows(self, rows: IntArray) -> Pooled:
         return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows], self.targets)
@@ -219,37 +225,41 @@ class Pooled:
 
 def pooled(runs: Sequence[Sequence[EpisodeResult]]) -> Pooled:
     """Return the collisions of *runs* on the scenes that all of them finished."""
-    flags = [{one.scene: float(bool(one.row["target_collision"])) for one in run} for run in runs]
+    flags = [{result.scene: float(bool(result.row["target_collision"])) for result in run} for run in runs]
     scenes = tuple(scene for scene in flags[0] if all(scene in other for other in flags))
-    return Pooled(scenes, np.array([[one[scene] for scene in scenes] for one in flags]))
+    return Pooled(scenes, np.array([[by_scene[scene] for scene in scenes] for by_scene in flags]))
 
 
 def averaged(parts: Sequence[Pooled]) -> Pooled:
-    """Return the mean over targets, on the scenes that all of them finished; as many warm-ups of each."""
+    """Return the mean over targets, on the scenes that all of them finished; all have the same number of warm-ups."""
     common = [scene for scene in parts[0].scenes if all(scene in part.scenes for part in parts)]
-    same = [
+    aligned_parts = [
         part._rows(np.array([part.scenes.index(scene) for scene in common], dtype=np.int64)) for part in parts
     ]
     return Pooled(
-        tuple(common), np.mean([part.hits for part in same], axis=0), sum(part.targets for part in parts)
+        tuple(common),
+        np.mean([part.hits for part in aligned_parts], axis=0),
+        sum(part.targets for part in parts),
     )
 
 
-def _draws(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+def _bootstrap_draws(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(0)
     counts = [rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64) for n in shape]
     return counts[0], counts[1]
 
 
-def _of(name: str) -> Unseen:
+def _unseen_target(name: str) -> Unseen:
     return UNSEEN.get(name, Unseen(name))
 
 
-def _made(name: str) -> object:
-    return make_target(_of(name).target, _of(name).options)
+def _make_unseen(name: str) -> object:
+    return make_target(_unseen_target(name).target, _unseen_target(name).options)
 
 
 def _adaptation(guide: str, name: str, seed: int, folder: Folder) -> Adaptation:
-    request, one = folder.request, _of(name)
-    options = {**licensed(PAPERS_LICENCE, request), "guide": guide}
-    return Adaptation(one.target, one.options, seed, marks_of(request.steps), request.horizon_s, options)
+    request, unseen = folder.request, _unseen_target(name)
+    options = {**with_licence(PAPERS_LICENCE, request), "guide": guide}
+    return Adaptation(
+        unseen.target, unseen.options, seed, marks_of(request.steps), request.horizon_s, options
+    )

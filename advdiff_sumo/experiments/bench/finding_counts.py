@@ -1,4 +1,4 @@
-"""What the findings of ``bench defects`` are worth: how many are valid and lawful, how diverse, and at what cost."""
+"""Counts the findings of ``bench defects``: how many are valid and lawful, how diverse they are, and their cost."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from advdiff_sumo.experiments.bench.detection import Tried, first_detection
+from advdiff_sumo.experiments.bench.detection import SceneOutcomes, first_detection
 from advdiff_sumo.experiments.bench.episode_results import Gathered
 from advdiff_sumo.experiments.bench.formatting import comma_separated
 from advdiff_sumo.metrics.archive import archive
 from advdiff_sumo.metrics.severity import is_valid_failure
 
-DRAWN = 100
-"""Episodes that :attr:`FindingCounts.cells_per_100` stands for."""
+SAMPLE_SIZE = 100
+"""Number of episodes for :attr:`FindingCounts.cells_per_100`."""
 
 
 @dataclass(frozen=True)
 class FindingCounts:
-    """All episodes of one target, sound and with each defect, before one background.
+    """Counts over all episodes of one target, sound and with each defect, with one background.
 
     Attributes:
-        episodes: finished.
+        episodes: finished episodes.
         collisions: of the target.
         valid: collisions that are valid failures.
         others_broke: collisions before which the other party broke a rule.
-        breaches: how often which rule; one collision may count for several.
+        breaches: rule → number of collisions before which the other party broke it.
         cells: cells of the archive that hold a valid failure.
-        cells_per_100: expected number of these among 100 of the episodes, drawn without replacement; None for fewer.
+        cells_per_100: expected number of these cells in 100 of the episodes, drawn without replacement; None if there
+            are fewer episodes.
     """
 
     episodes: int
@@ -43,37 +44,37 @@ class FindingCounts:
 
 
 def count_findings(rows: Sequence[Mapping[str, Any]]) -> FindingCounts:
-    """Return what *rows* of ``episodes`` come to."""
-    hits = [row for row in rows if row["target_collision"]]
-    broken = [row["other_breaches"].split(", ") for row in hits if row.get("other_breaches")]
-    filled = [elite.valid for elite in archive(rows).values() if elite.valid]
+    """Return the counts of *rows* of ``episodes``."""
+    collisions = [row for row in rows if row["target_collision"]]
+    breaches = [row["other_breaches"].split(", ") for row in collisions if row.get("other_breaches")]
+    valid_per_cell = [elite.valid for elite in archive(rows).values() if elite.valid]
     return FindingCounts(
         episodes=len(rows),
-        collisions=len(hits),
-        valid=sum(map(is_valid_failure, hits)),
-        others_broke=len(broken),
-        breaches=dict(sorted(Counter(kind for kinds in broken for kind in kinds).items())),
-        cells=len(filled),
-        cells_per_100=rarefied(filled, len(rows), DRAWN),
+        collisions=len(collisions),
+        valid=sum(map(is_valid_failure, collisions)),
+        others_broke=len(breaches),
+        breaches=dict(sorted(Counter(kind for kinds in breaches for kind in kinds).items())),
+        cells=len(valid_per_cell),
+        cells_per_100=rarefied(valid_per_cell, len(rows), SAMPLE_SIZE),
     )
 
 
 def rarefied(members: Iterable[int], total: int, drawn: int) -> float | None:
-    """Return how many groups are expected among *drawn* of *total* members (Hurlbert 1971, doi:10.2307/1934145).
+    """Return the expected number of groups in a sample of *drawn* members (Hurlbert 1971, doi:10.2307/1934145).
 
     Args:
-        members: of each group; others belong to none.
-        total: of all.
-        drawn: without replacement; None is returned where there are fewer.
+        members: number of members of each group; the remaining ones belong to no group.
+        total: number of all members.
+        drawn: size of the sample, without replacement. None is returned if it exceeds *total*.
     """
     if drawn > total:
         return None
-    ways = math.comb(total, drawn)
-    return sum(1.0 - math.comb(total - count, drawn) / ways for count in members)
+    samples = math.comb(total, drawn)
+    return sum(1.0 - math.comb(total - count, drawn) / samples for count in members)
 
 
-def first_costs(sound: Tried, defective: Mapping[str, Tried]) -> list[float]:
-    """Return the processor time until each defect alone is detected, s; infinite for those that never are."""
+def first_costs(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]) -> list[float]:
+    """Return the processor time (s) until each defect is detected if tested alone; infinite if it never is."""
     firsts = [first_detection(sound, {name: tried}) for name, tried in defective.items()]
     return [math.inf if first is None else first.cpu_s for first in firsts]
 
@@ -81,19 +82,21 @@ def first_costs(sound: Tried, defective: Mapping[str, Tried]) -> list[float]:
 def findings_text(
     gathered: Gathered,
     costs: Mapping[tuple[str, str], Sequence[float]],
-    ranked: Mapping[tuple[str, str], float | None],
+    aucs: Mapping[tuple[str, str], float | None],
 ) -> str:
-    """Return one line a target and background.
+    """Return a CSV line for each target and background.
 
     Args:
         gathered: the episodes.
         costs: of :func:`first_costs`, by background and target; they differ between machines.
-        ranked: how well valid failures tell defective from sound planners (AUC), by background and target.
+        aucs: how well valid failures separate defective from sound planners, by background and target.
     """
     rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for cell, episodes in gathered.finished.items():
-        asked = cell.background_options.get("attack", cell.background)  # as in a sweep's table
-        rows.setdefault((cell.row, cell.target), []).extend({**one.row, "attack": asked} for one in episodes)
+        attack = cell.background_options.get("attack", cell.background)  # as in a sweep's table
+        rows.setdefault((cell.row, cell.target), []).extend(
+            {**result.row, "attack": attack} for result in episodes
+        )
     counts = ("episodes", "collisions", "valid", "others_broke")
     names = (
         "background",
@@ -106,21 +109,21 @@ def findings_text(
         "auc",
     )
     lines: list[tuple[object, ...]] = []
-    for key, some in rows.items():
-        worth = count_findings(some)
-        breaches = " ".join(f"{kind}:{count}" for kind, count in worth.breaches.items())
-        numbers = (getattr(worth, name) for name in counts)
-        cost = _figure(_median(costs.get(key, ())), 1)
-        shares = (_figure(worth.cells_per_100, 2), cost, _figure(ranked.get(key), 3))
-        lines.append((*key, *numbers, breaches, worth.cells, *shares))
+    for key, episode_rows in rows.items():
+        findings = count_findings(episode_rows)
+        breaches = " ".join(f"{kind}:{count}" for kind, count in findings.breaches.items())
+        numbers = (getattr(findings, name) for name in counts)
+        cost = _formatted(_median(costs.get(key, ())), 1)
+        figures = (_formatted(findings.cells_per_100, 2), cost, _formatted(aucs.get(key), 3))
+        lines.append((*key, *numbers, breaches, findings.cells, *figures))
     return comma_separated(names, lines)
 
 
 def _median(costs: Sequence[float]) -> float | None:
-    """Return the median, or None where half of the defects are never detected."""
+    """Return the median; None if it is infinite, as many defects are never detected."""
     middle = median(costs) if costs else math.inf
     return middle if math.isfinite(middle) else None
 
 
-def _figure(value: float | None, digits: int) -> str:
+def _formatted(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"

@@ -1,4 +1,4 @@
-"""Figures as text, the same in every kind of table."""
+"""Formats figures as text, the same in every kind of table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NOTHING = "–"
 
 
 def comma_separated(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table of comma-separated values, a line a row."""
+    """Return a table as comma-separated values, one line for each row."""
     sink = io.StringIO()
     writer = csv.writer(sink, lineterminator="\n")
     writer.writerow(head)
@@ -22,17 +22,17 @@ def comma_separated(head: Iterable[str], rows: Iterable[Iterable[object]]) -> st
 
 
 def number(value: float | None, head: Head) -> str:
-    """Return a figure in printed units."""
+    """Return a figure in printed units; "–" if there is none."""
     return NOTHING if value is None else f"{head.scale * value:.{head.digits}f}"
 
 
 def interval(low: float | None, high: float | None, head: Head) -> str:
-    """Return an interval in brackets; empty where there is none."""
+    """Return an interval in brackets; "" if there is none."""
     return "" if low is None or high is None else f"[{number(low, head)}, {number(high, head)}]"
 
 
 def paper_number(cell: Cell) -> str:
-    """Return the paper's figure, which is in printed units already; empty where it has none."""
+    """Return the paper's figure, which is in printed units already; "" if there is none."""
     return "" if cell.paper is None else f"{cell.paper:g}"
 
 

@@ -1,7 +1,7 @@
-"""Figures of a table's cell with their intervals: Wilson for rates, bootstrap over seed scenes for the rest.
+"""Estimates figures with their intervals: Wilson for rates, bootstrap over seed scenes for the rest.
 
-A sample holds one entry a seed scene, so that any figure is a function of how often each scene is drawn; what the
-episodes of a scene have in common, such as several vehicles or warm-ups, is drawn together.
+A sample has one entry for each seed scene, so any figure is a function of how often each scene is drawn. All values of
+a scene, such as those of several vehicles or warm-ups, are drawn together.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Estimate:
 
     Attributes:
         value: the figure; None without a sample.
-        low: lower end; None where it is undefined.
-        high: upper end.
-        n: what it is out of.
+        low: lower end; None if it is undefined.
+        high: upper end; None if it is undefined.
+        n: size of the sample.
     """
 
     value: float | None = None
@@ -47,11 +47,11 @@ class Difference:
     """One figure less another one, over the seed scenes that both have.
 
     Attributes:
-        value: the difference; None where one of them is undefined.
-        low: lower end of its 95 % bootstrap interval; of rates that all pairs differ by as much in, see ``spread``.
+        value: the difference; None if one of them is undefined.
+        low: lower end of its 95 % bootstrap interval; for rates whose pairs all differ equally, see ``spread``.
         high: upper end.
-        p: exact McNemar test, two-sided (doi:10.1007/BF02295996); None for what is no rate of episodes.
-        scenes: how many both have.
+        p: exact McNemar test, two-sided (doi:10.1007/BF02295996); None for figures that are no rates of episodes.
+        scenes: number of seed scenes that both have.
     """
 
     value: float | None = None
@@ -62,20 +62,20 @@ class Difference:
 
 
 class Sample(Protocol):
-    """What a cell is computed from; S seed scenes."""
+    """The data of a cell, for S seed scenes."""
 
     @property
     def scenes(self) -> tuple[str, ...]:
-        """Their keys."""
+        """Keys of the scenes."""
         ...
 
     @property
     def n(self) -> int:
-        """What the figure is out of."""
+        """Size of the sample."""
         ...
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the figure (R,) with scenes drawn *times* (R, S); NaN where it is undefined."""
+        """Return the figure (R,) if each scene is drawn *times* (R, S); NaN where it is undefined."""
         ...
 
     def rows(self, rows: IntArray) -> Sample:
@@ -89,9 +89,9 @@ class Ratio:
 
     Attributes:
         scenes: keys.
-        total: (S,) sums of values, or counts of what happened.
+        total: (S,) sums of values, or numbers of events.
         count: (S,) numbers of values, or of trials.
-        rate: it is a share of trials, which gets Wilson's interval.
+        rate: whether it is a share of trials, which gets Wilson's interval.
     """
 
     scenes: tuple[str, ...]
@@ -106,9 +106,11 @@ class Ratio:
 
     def at(self, times: FloatArray) -> FloatArray:
         """Return the figure for each draw."""
-        out_of = times @ self.count
+        total_count = times @ self.count
         return np.asarray(
-            np.where(out_of > 0.0, times @ self.total / np.where(out_of > 0.0, out_of, 1.0), np.nan)
+            np.where(
+                total_count > 0.0, times @ self.total / np.where(total_count > 0.0, total_count, 1.0), np.nan
+            )
         )
 
     def rows(self, rows: IntArray) -> Ratio:
@@ -119,7 +121,7 @@ class Ratio:
 
     @property
     def flags(self) -> FloatArray | None:
-        """(S,) 0 or 1 where each scene has one trial; NaN where it has none; None where one has several."""
+        """(S,) events of the scenes' single trials, 0 or 1; NaN for scenes without; None if a scene has several."""
         if not self.rate or (self.count > 1.0).any():
             return None
         return np.where(self.count > 0.0, self.total, np.nan)
@@ -127,12 +129,12 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Divergence:
-    """Mean Jensen-Shannon divergence of several histograms against those of a reference, base 2.
+    """Mean Jensen-Shannon divergence of several histograms from those of a reference, base 2.
 
     Attributes:
         scenes: keys.
-        counts: (S, K) histograms, each.
-        reference: (S, K) the reference's in the same scenes, each.
+        counts: histograms, each (S, K).
+        reference: the reference's histograms in the same scenes, each (S, K).
     """
 
     scenes: tuple[str, ...]
@@ -141,68 +143,68 @@ class Divergence:
 
     @property
     def n(self) -> int:
-        """Values in the first histogram."""
+        """Number of values in the first histogram."""
         return round(float(self.counts[0].sum()))
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the divergence for each draw; the reference is drawn with it."""
-        parts = [
-            jensen_shannon(times @ own, times @ other)
-            for own, other in zip(self.counts, self.reference, strict=True)
+        """Return the divergence for each draw; the same scenes are drawn for the reference."""
+        divergences = [
+            jensen_shannon(times @ counts, times @ reference)
+            for counts, reference in zip(self.counts, self.reference, strict=True)
         ]
-        return np.asarray(np.mean(parts, axis=0))
+        return np.asarray(np.mean(divergences, axis=0))
 
     def rows(self, rows: IntArray) -> Divergence:
         """Return the sample of the scenes at *rows*."""
         return Divergence(
             tuple(self.scenes[k] for k in rows.tolist()),
-            tuple(one[rows] for one in self.counts),
-            tuple(one[rows] for one in self.reference),
+            tuple(counts[rows] for counts in self.counts),
+            tuple(counts[rows] for counts in self.reference),
         )
 
 
 def estimate(sample: Sample) -> Estimate:
-    """Return the figure of *sample*: Wilson's interval for a rate, else the percentile bootstrap over scenes.
+    """Return the figure of *sample* with Wilson's interval for a rate, else the percentile bootstrap over scenes.
 
-    Drawing scenes again makes a divergence larger on average; its percentiles are moved back by so much.
+    Resampling increases a divergence on average; its percentiles are corrected by this bias.
     """
     if not sample.scenes or not sample.n:
         return Estimate()
-    value = _one(sample)
+    value = _point_estimate(sample)
     if np.isnan(value):
         return Estimate(n=sample.n)
     if isinstance(sample, Ratio) and sample.rate:
         return Estimate(value, *wilson(round(float(sample.total.sum())), sample.n), sample.n)
-    drawn = sample.at(draws(len(sample.scenes)))
-    least = 0.0 if isinstance(sample, Divergence) else -np.inf
-    return Estimate(value, *_percentiles(_centred(sample, drawn, value), least), sample.n)
+    resampled = sample.at(draws(len(sample.scenes)))
+    lower_bound = 0.0 if isinstance(sample, Divergence) else -np.inf
+    return Estimate(value, *_percentiles(_bias_corrected(sample, resampled, value), lower_bound), sample.n)
 
 
 def difference(sample: Sample, other: Sample) -> Difference:
-    """Return the figure of *sample* less that of *other*, over the scenes that both have, drawn together."""
+    """Return the figure of *sample* less that of *other*, over common scenes; the same ones are drawn for both."""
     a, b = aligned(sample, other)
     if not a.scenes:
         return Difference()
-    value = _one(a) - _one(b)
+    value = _point_estimate(a) - _point_estimate(b)
     if np.isnan(value):
         return Difference(scenes=len(a.scenes))
     times = draws(len(a.scenes))
-    low, high = _percentiles(_centred(a, a.at(times) - b.at(times), value))
+    low, high = _percentiles(_bias_corrected(a, a.at(times) - b.at(times), value))
     if low is not None and high is not None and _is_rate(a) and _is_rate(b):
         low, high = spread(low, high, min(a.n, b.n))
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
 
 def aligned(a: Sample, b: Sample) -> tuple[Sample, Sample]:
-    """Return both samples over the scenes that both have, in the order of the first."""
-    place = {scene: row for row, scene in enumerate(b.scenes)}
-    rows = np.array([k for k, scene in enumerate(a.scenes) if scene in place], dtype=np.int64)
-    others = np.array([place[a.scenes[k]] for k in rows.tolist()], dtype=np.int64)
-    return a.rows(rows), b.rows(others)
+    """Return both samples restricted to their common scenes, in the order of the first."""
+    row_of = {scene: row for row, scene in enumerate(b.scenes)}
+    rows = np.array([k for k, scene in enumerate(a.scenes) if scene in row_of], dtype=np.int64)
+    other_rows = np.array([row_of[a.scenes[k]] for k in rows.tolist()], dtype=np.int64)
+    return a.rows(rows), b.rows(other_rows)
 
 
 def draws(scenes: int) -> FloatArray:
-    """Return (R, S) how often each scene is drawn in each of the bootstrap's samples."""
+    """Return how often each scene is drawn in each of the bootstrap's samples (R, S)."""
     return np.concatenate(list(bootstrap_counts(scenes, 0, RESAMPLES)))
 
 
@@ -226,18 +228,18 @@ def _is_rate(sample: Sample) -> bool:
     return isinstance(sample, Ratio) and sample.rate
 
 
-def _one(sample: Sample) -> float:
+def _point_estimate(sample: Sample) -> float:
     return float(sample.at(np.ones((1, len(sample.scenes))))[0])
 
 
-def _centred(sample: Sample, drawn: FloatArray, value: float) -> FloatArray:
-    """Return the bootstrap's figures of a divergence, or of a difference of two, with *value* as their mean."""
+def _bias_corrected(sample: Sample, drawn: FloatArray, value: float) -> FloatArray:
+    """Return the bootstrap's figures; for divergences and their differences shifted so that their mean is *value*."""
     return drawn - (np.nanmean(drawn) - value) if isinstance(sample, Divergence) else drawn
 
 
-def _percentiles(values: FloatArray, least: float = -np.inf) -> tuple[float | None, float | None]:
+def _percentiles(values: FloatArray, lower_bound: float = -np.inf) -> tuple[float | None, float | None]:
     known = values[~np.isnan(values)]
     if not len(known):
         return None, None
-    low, high = np.maximum(np.percentile(known, TAILS), least)
+    low, high = np.maximum(np.percentile(known, TAILS), lower_bound)
     return float(low), float(high)

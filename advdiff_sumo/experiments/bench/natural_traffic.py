@@ -1,4 +1,4 @@
-"""``bench traffic``: the paper's first table, open loop on windows that no weights were trained on."""
+"""``bench traffic``: the paper's first table, in open loop, on windows that were not used in training."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from advdiff_sumo.sweep.sweep_files import read_checked, write_checked
 from advdiff_sumo.training.dataset import WindowSet, read_window_set
 
 WINDOWS, WINDOWS_SEED, MADE_UP_SHARE = 1800, 9001, 0.5
-"""The windows that are made where none are given: ``data simulate`` with these, half of them on made-up nets."""
+"""Options of ``data simulate`` for the windows if none are given; half of them are on random nets."""
 VIEWS: tuple[MapView, ...] = ("near", "far")
 CHUNK = 6
 OURS, LOG = "diffusion", "log"
@@ -45,22 +45,24 @@ NOTES = (
 )
 
 
-def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table:
-    """Count what is missing and return the table.
+def run_traffic(folder: Folder, workers: int, reporter: ProgressReporter) -> Table:
+    """Evaluate the windows that are not evaluated yet, and return the table.
 
     Raises:
         InputError: a row is unknown, or a window file cannot be used.
     """
-    names = chosen_models(folder.request, teller)
+    names = chosen_models(folder.request, reporter)
     counted: dict[str, Counted] = {}
     for view in VIEWS:
-        seeing = tuple(name for name in names if MODELS[name].view == view or (name == LOG and not counted))
-        if {*seeing} <= {LOG} and len(names) > 1:
+        view_models = tuple(
+            name for name in names if MODELS[name].view == view or (name == LOG and not counted)
+        )
+        if {*view_models} <= {LOG} and len(names) > 1:
             continue
-        places = _windows(folder, workers, teller, view)
-        windows = read_window_set(places)
-        rows = spread_rows(len(windows), _wanted(folder.request.scenes, len(windows)))
-        counted |= _counted(folder, seeing, windows, rows, places, workers, teller)
+        window_files = _window_files(folder, workers, reporter, view)
+        windows = read_window_set(window_files)
+        rows = spread_rows(len(windows), _requested_count(folder.request.scenes, len(windows)))
+        counted |= _counted(folder, view_models, windows, rows, window_files, workers, reporter)
     scenes = tuple(str(row) for row in rows.tolist())
     samples = [_samples(name, counted, scenes, folder.request.seeds) for name in names]
     lines = lines_of(HEADS, samples, paper_table("traffic"))
@@ -74,28 +76,28 @@ def run_traffic(folder: Folder, workers: int, teller: ProgressReporter) -> Table
     return Table("traffic", title, HEADS, lines, gaps_of(HEADS, samples), (*NOTES, windows_note))
 
 
-def check_traffic(request: Request, teller: ProgressReporter) -> None:
-    """Look at what is asked before anything is made.
+def check_traffic(request: Request, reporter: ProgressReporter) -> None:
+    """Check the request before anything is run.
 
     Raises:
-        InputError: a row or number makes no sense, or a window file cannot be used.
+        InputError: a row is unknown, a number is impossible, or a window file cannot be used.
     """
-    chosen_models(request, teller)
-    _wanted(request.scenes, 1)
+    chosen_models(request, reporter)
+    _requested_count(request.scenes, 1)
 
 
-def chosen_models(request: Request, teller: ProgressReporter) -> tuple[str, ...]:
-    """Return the rows: those asked for, or all whose weights ship; the log is always one of them.
+def chosen_models(request: Request, reporter: ProgressReporter) -> tuple[str, ...]:
+    """Return the rows: the requested ones, or all whose weights are installed; the log is always included.
 
-    Rows whose networks see another view of the map than given windows show are left out.
+    Rows whose networks need another view of the map than the given windows contain are left out.
 
     Raises:
         ConfigError: a row is unknown, or has no weights.
         FileError: a window file cannot be used.
     """
-    asked = request.policies
-    given = read_window_set([Path(place) for place in request.data]).map_view if request.data else None
-    for name in asked:
+    requested = request.policies
+    given_view = read_window_set([Path(place) for place in request.data]).map_view if request.data else None
+    for name in requested:
         if name not in MODELS:
             raise ConfigError(
                 f"--policies {name}: bench traffic has no such row; {did_you_mean(name, MODELS)}"
@@ -105,51 +107,51 @@ def chosen_models(request: Request, teller: ProgressReporter) -> tuple[str, ...]
                 f"--policies {name}: this installation has no {MODELS[name].weights} yet; leave it out"
             )
     for name, model in MODELS.items():
-        if not asked and not model.there:
-            teller.say(f"row {name} is left out: this installation has no {model.weights} yet")
-    wanted = {LOG, *(asked or MODELS)}
-    names = [name for name, model in MODELS.items() if name in wanted and model.there]
-    blind = [name for name in names if given and name != LOG and MODELS[name].view != given]
-    if blind:
-        teller.say(
-            f"left out: {', '.join(blind)}, whose networks see more or less of the map than the windows show"
+        if not requested and not model.there:
+            reporter.say(f"row {name} is left out: this installation has no {model.weights} yet")
+    rows = {LOG, *(requested or MODELS)}
+    names = [name for name, model in MODELS.items() if name in rows and model.there]
+    other_view = [name for name in names if given_view and name != LOG and MODELS[name].view != given_view]
+    if other_view:
+        reporter.say(
+            f"left out: {', '.join(other_view)}, whose networks see more or less of the map than the windows show"
         )
-    return tuple(name for name in names if name not in blind)
+    return tuple(name for name in names if name not in other_view)
 
 
 def spread_rows(total: int, wanted: int) -> IntArray:
-    """Return *wanted* of *total* windows, spread over all; fewer are contained in more.
+    """Return the rows of *wanted* of *total* windows, spread over all; a smaller selection is part of a larger one.
 
-    The order is that of the bit-reversed numbers (van der Corput), which fills gaps evenly.
+    Their order is that of the bit-reversed numbers (van der Corput), which fills gaps evenly.
     """
     bits = max(1, (total - 1).bit_length())
     order = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(1 << bits)]
     return np.array([k for k in order if k < total][:wanted], dtype=np.int64)
 
 
-def _wanted(asked: str, total: int) -> int:
-    if not asked.isdigit() or int(asked) < 1:
+def _requested_count(requested: str, total: int) -> int:
+    if not requested.isdigit() or int(requested) < 1:
         raise ConfigError(
-            f"--scenes {asked}: give the number of windows, above 0; name their files with --data"
+            f"--scenes {requested}: give the number of windows, above 0; name their files with --data"
         )
-    return min(int(asked), total)
+    return min(int(requested), total)
 
 
-def _windows(folder: Folder, workers: int, teller: ProgressReporter, view: MapView) -> list[Path]:
-    """Return the window files: those given, or the ones of the map's *view* that this makes in the folder."""
+def _window_files(folder: Folder, workers: int, reporter: ProgressReporter, view: MapView) -> list[Path]:
+    """Return the given window files, or generate windows with the map's *view* in the folder and return its path."""
     if folder.request.data:
         return [Path(place) for place in folder.request.data]
-    default = folder.path / ("windows" if view == "near" else f"windows-{view}")
-    made_up = SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE, view=view)
-    shards = plan(made_up)
-    default.mkdir(parents=True, exist_ok=True)
-    teller.begin("files of windows", len(shards))
+    folder_path = folder.path / ("windows" if view == "near" else f"windows-{view}")
+    options = SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE, view=view)
+    shards = plan(options)
+    folder_path.mkdir(parents=True, exist_ok=True)
+    reporter.begin("files of windows", len(shards))
 
-    def tell(_: ShardResult) -> None:
-        teller.step()
+    def on_shard(_: ShardResult) -> None:
+        reporter.step()
 
-    simulate(shards, default, workers, tell)
-    return [default]
+    simulate(shards, folder_path, workers, on_shard)
+    return [folder_path]
 
 
 def _counted(
@@ -157,41 +159,42 @@ def _counted(
     names: tuple[str, ...],
     windows: WindowSet,
     rows: IntArray,
-    places: list[Path],
+    window_files: list[Path],
     workers: int,
-    teller: ProgressReporter,
+    reporter: ProgressReporter,
 ) -> dict[str, Counted]:
-    """Return what is counted of each row, over the seeds; chunks of windows that the folder has are not repeated."""
+    """Return the counts of each row, joined over the seeds; chunks of windows that the folder has are not repeated."""
     request, cache = folder.request, folder.path / "counted"
     cache.mkdir(parents=True, exist_ok=True)
-    files = tuple(str(place) for place in places)
+    files = tuple(str(place) for place in window_files)
     chunks = [tuple(rows[k : k + CHUNK].tolist()) for k in range(0, len(rows), CHUNK)]
-    wanted = {
+    chunk_by_key = {
         digest([windows.digest, name, chunk, request.samples, seed]): (name, chunk, seed)
         for name in names
         for seed in range(request.seeds)
         for chunk in chunks
     }
-    there = {key for key in wanted if read_checked(cache / key) is not None}
-    teller.begin("parts of the windows", len(wanted), len(there))
+    cached = {key for key in chunk_by_key if read_checked(cache / key) is not None}
+    reporter.begin("parts of the windows", len(chunk_by_key), len(cached))
     tasks = {
         key: (count_chunk, files, name, chunk, request.samples, seed)
-        for key, (name, chunk, seed) in wanted.items()
-        if key not in there
+        for key, (name, chunk, seed) in chunk_by_key.items()
+        if key not in cached
     }
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
-        teller.step()
-    by_seed: dict[str, list[Counted]] = {name: [] for name in names}
+        reporter.step()
+    counts_by_seed: dict[str, list[Counted]] = {name: [] for name in names}
     for name in names:
         for seed in range(request.seeds):
             keys = [digest([windows.digest, name, chunk, request.samples, seed]) for chunk in chunks]
-            by_seed[name].append(_joined([_unpacked(read_checked(cache / key) or b"") for key in keys]))
-    return {name: _over_seeds(parts) for name, parts in by_seed.items()}
+            chunk_counts = [_counted_from_bytes(read_checked(cache / key) or b"") for key in keys]
+            counts_by_seed[name].append(_concatenated(chunk_counts))
+    return {name: _over_seeds(parts) for name, parts in counts_by_seed.items()}
 
 
 def count_chunk(files: tuple[str, ...], name: str, chunk: tuple[int, ...], samples: int, seed: int) -> bytes:
-    """Return what is counted of the windows of *chunk*, as bytes; for a worker."""
+    """Return the counts of the windows of *chunk* as bytes; runs in a worker."""
     batch = _read(files).batch(np.array(chunk, dtype=np.int64))
     counted = count(name, batch, samples, int(digest([chunk, seed]), 16) % 2**31)
     sink = io.BytesIO()
@@ -204,39 +207,39 @@ def _read(files: tuple[str, ...]) -> WindowSet:
     return read_window_set([Path(file) for file in files])
 
 
-def _unpacked(content: bytes) -> Counted:
+def _counted_from_bytes(content: bytes) -> Counted:
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return Counted(**{one.name: arrays[one.name] for one in fields(Counted)})
+        return Counted(**{field.name: arrays[field.name] for field in fields(Counted)})
 
 
-def _joined(parts: list[Counted]) -> Counted:
+def _concatenated(parts: list[Counted]) -> Counted:
     return Counted(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Counted)})
 
 
 def _over_seeds(parts: list[Counted]) -> Counted:
-    """Return one row of several seeds: errors as their mean, counts as their sum."""
+    """Join the counts of several seeds: the mean of errors and numbers of vehicles, the sum of the others."""
     means = {"sfde_m", "fdd_m", "vehicles"}
     counts: dict[str, FloatArray] = {}
-    for one in fields(Counted):
-        stacked = np.stack([getattr(part, one.name) for part in parts])
-        counts[one.name] = stacked.mean(0) if one.name in means else stacked.sum(0)
+    for field in fields(Counted):
+        stacked = np.stack([getattr(part, field.name) for part in parts])
+        counts[field.name] = stacked.mean(0) if field.name in means else stacked.sum(0)
     return Counted(**counts)
 
 
 def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...], seeds: int) -> RowSamples:
-    own, log = counted[name], counted[LOG]
-    some = (own.vehicles > 0.0).astype(np.float64)
+    counts, log_counts = counted[name], counted[LOG]
+    has_vehicles = (counts.vehicles > 0.0).astype(np.float64)
     samples: dict[str, Sample] = {
-        "env_rate": Ratio(scenes, own.off_road, own.trials, rate=True),
-        "veh_rate": Ratio(scenes, own.hit, own.trials, rate=True),
+        "env_rate": Ratio(scenes, counts.off_road, counts.trials, rate=True),
+        "veh_rate": Ratio(scenes, counts.hit, counts.trials, rate=True),
     }
     if name != LOG:
         samples |= {
-            "min_sfde_m": Ratio(scenes, own.sfde_m * some, some),
-            "jsd_speed": Divergence(scenes, (own.speed,), (log.speed,)),
-            "jsd_accel": Divergence(scenes, (own.accel,), (log.accel,)),
-            "jsd_ttc": Divergence(scenes, (own.ttc,), (log.ttc,)),
+            "min_sfde_m": Ratio(scenes, counts.sfde_m * has_vehicles, has_vehicles),
+            "jsd_speed": Divergence(scenes, (counts.speed,), (log_counts.speed,)),
+            "jsd_accel": Divergence(scenes, (counts.accel,), (log_counts.accel,)),
+            "jsd_ttc": Divergence(scenes, (counts.ttc,), (log_counts.ttc,)),
         }
-        if own.trials.sum() > seeds * own.vehicles.sum():
-            samples["fdd_m"] = Ratio(scenes, own.fdd_m, own.vehicles)
+        if counts.trials.sum() > seeds * counts.vehicles.sum():
+            samples["fdd_m"] = Ratio(scenes, counts.fdd_m, counts.vehicles)
     return RowSamples(name, "", MODELS[name].title, samples, name == LOG, name == OURS)

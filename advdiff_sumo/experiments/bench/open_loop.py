@@ -1,4 +1,4 @@
-"""Rows of ``bench traffic``: ways to continue a window, and what is counted of their samples."""
+"""Rows of ``bench traffic``: models that continue a window, and counts over their samples."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from advdiff_sumo.training.displacement import driving, logged
 from advdiff_sumo.training.open_loop import Draw, by_diffusion, from_prior, judge
 
 Continue = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
-"""Windows, how many samples → joint futures of each window that many times in a row, and how many times."""
+"""Windows and number of samples → joint futures, those of a window in succession, and samples per window."""
 LATENT_STEPS, TRAJECTORY_STEPS = 5, 10
-"""As many as in closed loop; with five, trajectories are rougher by half."""
+"""Steps of DDIM: as in closed loop; ``traj2traj`` needs more, as five make its trajectories rougher by half."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class ComparedModel:
     """A row of the table.
 
     Attributes:
-        title: what is printed.
+        title: printed name.
         weights: file among the shipped weights; "" for the log itself.
-        load: path of the weights → what draws futures.
-        view: how much of the map they see.
+        load: path of the weights → function that samples futures.
+        view: how much of the map the networks see.
     """
 
     title: str
@@ -53,26 +53,26 @@ class ComparedModel:
 
     @property
     def path(self) -> Path:
-        """Where its weights are."""
+        """Path of its weights."""
         return shipped_weights().parent / self.weights
 
     @property
     def there(self) -> bool:
-        """Whether its weights ship with this installation."""
+        """Whether its weights are installed."""
         return not self.weights or self.path.is_file()
 
 
 @dataclass(frozen=True)
 class Counted:
-    """What is counted of W windows, each (W,) or (W, bins).
+    """Counts over W windows, each (W,) or (W, bins).
 
     Attributes:
-        sfde_m: least final error of a sample, mean over its vehicles.
+        sfde_m: mean final error over a sample's vehicles, of the sample in which it is least.
         fdd_m: sum over vehicles of the mean distance of final positions between samples.
-        vehicles: driving vehicles.
-        trials: the same, once a sample.
-        hit: of these, those whose box meets another one.
-        off_road: of these, those whose centre leaves the road.
+        vehicles: number of driving vehicles.
+        trials: vehicles times samples.
+        hit: trials in which the vehicle's box comes to overlap another one.
+        off_road: trials in which the vehicle's centre leaves the road.
         speed: counts of speeds.
         accel: counts of accelerations.
         ttc: counts of times to collision.
@@ -103,32 +103,33 @@ def _prior(path: Path) -> Continue:
     return _encoding(bundle, from_prior(bundle))
 
 
-def _diffusion(path: Path, fitted: bool = False, steps: int = LATENT_STEPS) -> Continue:
-    """Return what draws samples by *steps* of DDIM; *fitted*: made to fit together."""
+def _diffusion(path: Path, refines: bool = False, steps: int = LATENT_STEPS) -> Continue:
+    """Return a function that samples with *steps* of DDIM; *refines*: overlaps of the samples are reduced."""
     bundle = _bundle(path)
-    return _encoding(bundle, by_diffusion(bundle, steps, partial(_fitted, _held(bundle)) if fitted else None))
+    refine = partial(_refined, _refinement_decoder(bundle)) if refines else None
+    return _encoding(bundle, by_diffusion(bundle, steps, refine))
 
 
 def _encoding(bundle: Bundle, draw: Draw) -> Continue:
-    """Return *draw* of windows that the encoder of *bundle* has still to see."""
+    """Return *draw* preceded by the encoder of *bundle*."""
     return lambda batch, samples, generator: draw(batch, bundle.traffic.encoder(batch), samples, generator)
 
 
-def _held(bundle: Bundle) -> Decode:
-    """Return the decoder that samples are made to fit by."""
+def _refinement_decoder(bundle: Bundle) -> Decode:
+    """Return the decoder with which samples are refined."""
     assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - the row names latent weights
     return held_decode(bundle.codec, FastDecoder(bundle.traffic.decoder))
 
 
-def _fitted(decode: Decode, drawn: Tensor, context: Context, several: SceneBatch, samples: int) -> Tensor:
-    """Return *drawn* made to fit together, one window at a time, so that padding costs nothing."""
-    refined = drawn.clone()
-    for begin in range(0, several.scenes, samples):
+def _refined(decode: Decode, sample: Tensor, context: Context, repeated: SceneBatch, samples: int) -> Tensor:
+    """Return *sample* with fewer overlaps; windows are refined one by one, to save the time for padding."""
+    refined = sample.clone()
+    for begin in range(0, repeated.scenes, samples):
         window = slice(begin, begin + samples)
-        agents = int(several.present[begin].nonzero().max()) + 1
-        batch = several.rows(window).rows_of(torch.arange(agents))
-        known = context.rows(window).first(agents)
-        refined[window, :agents] = together(drawn[window, :agents], decode, known, batch)
+        agents = int(repeated.present[begin].nonzero().max()) + 1
+        batch = repeated.rows(window).rows_of(torch.arange(agents))
+        window_context = context.rows(window).first(agents)
+        refined[window, :agents] = together(sample[window, :agents], decode, window_context, batch)
     return refined
 
 
@@ -151,61 +152,61 @@ MODELS: Mapping[str, ComparedModel] = {
 
 @torch.no_grad()
 def count(name: str, batch: SceneBatch, samples: int, seed: int) -> Counted:
-    """Return what is counted of the futures that model *name* gives the windows of *batch*.
+    """Return the counts of the futures that model *name* samples for the windows of *batch*.
 
     Args:
         name: of ``MODELS``.
-        batch: W windows with what happened.
+        batch: W windows with their recorded futures.
         samples: joint samples of each.
         seed: of the random numbers.
     """
-    node = SeedTree(seed, ("bench", "traffic", name))
-    generator = torch.Generator().manual_seed(node.integer(62))
-    rollout, times = _draw_of(name)(batch, samples, generator)
-    several = batch.repeat(times)
-    judged = judge(rollout, several, times, several.future_valid if name == "log" else None)
-    vehicles = judged.driving.sum(1)
+    seeds = SeedTree(seed, ("bench", "traffic", name))
+    generator = torch.Generator().manual_seed(seeds.integer(62))
+    rollout, samples_per_window = _continuation(name)(batch, samples, generator)
+    repeated = batch.repeat(samples_per_window)
+    evaluated = judge(rollout, repeated, samples_per_window, repeated.future_valid if name == "log" else None)
+    vehicles = evaluated.driving.sum(1)
     return Counted(
-        sfde_m=_array(judged.sfde_m),
-        fdd_m=_array(torch.where(judged.driving, judged.spread_m, 0.0).sum(1)),
-        vehicles=_array(vehicles),
-        trials=_array(vehicles * times),
-        hit=_array(judged.hit.sum((1, 2))),
-        off_road=_array(judged.off_road.sum((1, 2))),
-        speed=judged.speed,
-        accel=judged.accel,
-        ttc=_ttc_histograms(rollout, several, times),
+        sfde_m=_to_numpy(evaluated.sfde_m),
+        fdd_m=_to_numpy(torch.where(evaluated.driving, evaluated.spread_m, 0.0).sum(1)),
+        vehicles=_to_numpy(vehicles),
+        trials=_to_numpy(vehicles * samples_per_window),
+        hit=_to_numpy(evaluated.hit.sum((1, 2))),
+        off_road=_to_numpy(evaluated.off_road.sum((1, 2))),
+        speed=evaluated.speed,
+        accel=evaluated.accel,
+        ttc=_ttc_histograms(rollout, repeated, samples_per_window),
     )
 
 
-def _ttc_histograms(rollout: Rollout, batch: SceneBatch, times: int) -> FloatArray:
-    """Return (W, bins) counts of times to collision of driving vehicles at the known instants."""
-    known = (driving(batch)[..., None] & realism.known_steps(batch)).numpy()
-    windows = len(known) // times
-    rows = (part.reshape(windows, -1) for part in (ttc_of(rollout, batch), known))
-    return np.stack([ttc_counts(seconds[mask]) for seconds, mask in zip(*rows, strict=True)])
+def _ttc_histograms(rollout: Rollout, batch: SceneBatch, samples_per_window: int) -> FloatArray:
+    """Return histograms (W, bins) of times to collision of driving vehicles at the known instants."""
+    is_known = (driving(batch)[..., None] & realism.known_steps(batch)).numpy()
+    windows = len(is_known) // samples_per_window
+    rows = (part.reshape(windows, -1) for part in (ttc_of(rollout, batch), is_known))
+    return np.stack([ttc_counts(ttc_s[mask]) for ttc_s, mask in zip(*rows, strict=True)])
 
 
 def ttc_of(rollout: Rollout, batch: SceneBatch) -> FloatArray:
-    """Return (B, A, T) least times to collision of the agents of *batch* on their way along *rollout*.
+    """Return the least times to collision (B, A, T) of the agents of *batch* along *rollout*.
 
-    Velocities are the steps between instants, so that log and models are measured alike.
+    Velocities are differences of positions, so that log and models are measured alike.
     """
-    before = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
-    velocity = _array((rollout.xy - before) / MODEL_STEP_S).swapaxes(1, 2)
-    there = (realism.known_steps(batch) & batch.present[..., None]).numpy().swapaxes(1, 2)
-    seconds = least_ttc(
-        _array(rollout.xy).swapaxes(1, 2),
-        _array(rollout.yaw).swapaxes(1, 2),
+    previous_xy = torch.cat((batch.pose[:, :, None, :2], rollout.xy[:, :, :-1]), dim=2)
+    velocity = _to_numpy((rollout.xy - previous_xy) / MODEL_STEP_S).swapaxes(1, 2)
+    is_present = (realism.known_steps(batch) & batch.present[..., None]).numpy().swapaxes(1, 2)
+    ttc_s = least_ttc(
+        _to_numpy(rollout.xy).swapaxes(1, 2),
+        _to_numpy(rollout.yaw).swapaxes(1, 2),
         velocity,
-        _array(batch.size)[:, None],
-        there,
+        _to_numpy(batch.size)[:, None],
+        is_present,
     )
-    return np.asarray(seconds.swapaxes(1, 2))
+    return np.asarray(ttc_s.swapaxes(1, 2))
 
 
 @lru_cache(maxsize=len(MODELS))
-def _draw_of(name: str) -> Continue:
+def _continuation(name: str) -> Continue:
     return MODELS[name].load(MODELS[name].path)
 
 
@@ -214,5 +215,5 @@ def _bundle(path: Path) -> Bundle:
     return load_bundle(path).frozen()
 
 
-def _array(value: Tensor) -> FloatArray:
+def _to_numpy(value: Tensor) -> FloatArray:
     return value.double().cpu().numpy()

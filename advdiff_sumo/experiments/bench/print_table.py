@@ -1,4 +1,4 @@
-"""A bench's table on the terminal: our figures, their intervals, and the paper's beside them in grey."""
+"""Prints a bench's table on the terminal: figures, intervals, and the paper's figures in grey."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _WIDEST = 250
 _NARROW_COLUMNS = 5
 
 
-def print_table(console: Console, table: Table, said: Collection[str] = ()) -> None:
-    """Print *table*, its differences and its notes but for those that have been *said* just now."""
-    before = console.width
-    console.width = max(before, _width(table))
+def print_table(console: Console, table: Table, already_shown: Collection[str] = ()) -> None:
+    """Print *table*, its differences, and its notes except those in *already_shown*."""
+    previous_width = console.width
+    console.width = max(previous_width, _width(table))
     console.print(rich_table(table))
     if table.gaps:
         console.print(gap_table(table))
-    console.width = before
-    for note in (note for note in table.notes if note not in said):
+    console.width = previous_width
+    for note in (note for note in table.notes if note not in already_shown):
         console.print(note, style="dim", soft_wrap=True)
 
 
@@ -36,13 +36,13 @@ def rich_table(table: Table) -> RichTable:
     printed.add_column("")
     for head in table.heads:
         printed.add_column(formatting.heading(head), justify="right", no_wrap=True)
-    before = None
+    previous_group = None
     for line in table.lines:
-        if before is not None and line.group != before:
+        if previous_group is not None and line.group != previous_group:
             printed.add_section()
-        label = [line.group if line.group != before else ""] if groups else []
+        label = [line.group if line.group != previous_group else ""] if groups else []
         printed.add_row(*label, _title(line), *(_cell(line.cells.get(h.key), h) for h in table.heads))
-        before = line.group
+        previous_group = line.group
     return printed
 
 
@@ -54,12 +54,12 @@ def gap_table(table: Table) -> RichTable:
     heads = {head.key: head for head in table.heads}
     for gap in table.gaps:
         head, difference = heads[gap.column], gap.found
-        between = formatting.interval(difference.low, difference.high, head)
+        interval = formatting.interval(difference.low, difference.high, head)
         texts = (gap.group, formatting.heading(head), gap.ours, gap.rival)
         printed.add_row(
             *texts,
             formatting.change(difference, head),
-            between,
+            interval,
             formatting.p_value(difference.p),
             str(difference.scenes),
         )
@@ -71,13 +71,13 @@ def _title(line: Line) -> Text:
 
 
 def _cell(cell: Cell | None, head: Head) -> Text:
-    """Return figure, interval with sample size, and the paper's figure, each on its line."""
+    """Return figure, interval, sample size and the paper's figure, each on a line."""
     if cell is None:
         return Text(formatting.NOTHING)
     lines = [Text(formatting.number(cell.found.value, head), style="bold" if cell.best else "")]
-    between = formatting.interval(cell.found.low, cell.found.high, head)
-    if between:
-        lines.append(Text(between))
+    interval = formatting.interval(cell.found.low, cell.found.high, head)
+    if interval:
+        lines.append(Text(interval))
     if cell.found.n:
         lines.append(Text(f"n {cell.found.n}", style="dim"))
     paper = formatting.paper_number(cell)

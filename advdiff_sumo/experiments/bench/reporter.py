@@ -1,4 +1,4 @@
-"""How a bench tells what it is doing; the command line draws bars from it."""
+"""Interface by which a bench reports its progress; the command line draws progress bars from it."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from typing import Protocol
 
 
 class ProgressReporter(Protocol):
-    """Told of stages and their steps."""
+    """Receives stages and their steps."""
 
     def begin(self, what: str, total: int, done: int = 0) -> None:
-        """A stage of *total* steps begins, *done* of them done before."""
+        """Begin a stage of *total* steps, of which *done* were finished earlier."""
         ...
 
     def step(self, words: str = "") -> None:
-        """One step more; *words* say how things stand."""
+        """Count one more step; *words* describe the state."""
         ...
 
     def say(self, sentence: str) -> None:
-        """Something that the user should know."""
+        """Show a message to the user."""
         ...
 
 
 class Silent:
-    """Tells nobody."""
+    """Ignores all reports."""
 
     def begin(self, what: str, total: int, done: int = 0) -> None:
         """Do nothing."""

@@ -1,4 +1,4 @@
-"""A bench from its request to its table."""
+"""Runs a bench, from its request to its table."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.adversarial import ATTACKED, adversarial_table, plan_adversarial
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
-from advdiff_sumo.experiments.bench.bench_rows import asked_of
+from advdiff_sumo.experiments.bench.bench_rows import resolve_request
 from advdiff_sumo.experiments.bench.cells import BenchCells, run_cells
-from advdiff_sumo.experiments.bench.defect_cells import asked_of_defects, plan_defects
+from advdiff_sumo.experiments.bench.defect_cells import plan_defects, resolve_defects_request
 from advdiff_sumo.experiments.bench.defect_score import defects_of
 from advdiff_sumo.experiments.bench.episode_results import Gathered, gather, gather_rows
-from advdiff_sumo.experiments.bench.fewshot import asked_of_fewshot, fewshot_table, plan_fewshot
+from advdiff_sumo.experiments.bench.fewshot import fewshot_table, plan_fewshot, resolve_fewshot_request
 from advdiff_sumo.experiments.bench.forecast import forecast
 from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_traffic
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter, Silent
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
 from advdiff_sumo.experiments.bench.table_cache import save
-from advdiff_sumo.experiments.bench.transfer import asked_of_transfer, plan_transfer, transfer_table
+from advdiff_sumo.experiments.bench.transfer import plan_transfer, resolve_transfer_request, transfer_table
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
-#: What a bench asks for where the user does not say; together within three hours on two cores.
+#: Default options of each bench; docs/benches.md says how long they take.
 DEFAULTS: Mapping[BenchName, Mapping[str, Any]] = {
     "traffic": {"scenes": "300", "seeds": 1},
     "adversarial": {"scenes": "60"},
@@ -42,9 +42,9 @@ class ClosedLoop:
     """A bench whose figures come from episodes.
 
     Attributes:
-        plan: makes warm-ups where there are any, and returns the cells.
-        table: of what was gathered.
-        traced: what is looked at of the background: nothing, its motion, or likelihoods and solutions, too.
+        plan: runs the warm-ups, if it needs any, and returns the cells.
+        table: makes the table from the episodes.
+        traced: what is computed of the background: nothing, its motion, or also likelihoods and solutions.
     """
 
     plan: Callable[[Folder, int, WorkerLimits, ProgressReporter], BenchCells]
@@ -54,7 +54,7 @@ class ClosedLoop:
 
 _CLOSED_LOOP: Mapping[BenchName, ClosedLoop] = {
     "adversarial": ClosedLoop(
-        lambda folder, _workers, _limits, teller: plan_adversarial(folder, teller),
+        lambda folder, _workers, _limits, reporter: plan_adversarial(folder, reporter),
         lambda gathered, cells, folder: adversarial_table(gathered, cells.scenes, folder),
         traced="all",
     ),
@@ -66,73 +66,79 @@ _CLOSED_LOOP: Mapping[BenchName, ClosedLoop] = {
     "fewshot": ClosedLoop(
         plan_fewshot, lambda gathered, cells, folder: fewshot_table(gathered, cells.scenes, folder)
     ),
-    "defects": ClosedLoop(lambda folder, _workers, _limits, teller: plan_defects(folder, teller), defects_of),
+    "defects": ClosedLoop(
+        lambda folder, _workers, _limits, reporter: plan_defects(folder, reporter), defects_of
+    ),
 }
 
 
 def check_request(request: Request) -> None:
-    """Look at what is asked before anything is made.
+    """Check a request before anything is run.
 
     Raises:
-        InputError: it cannot be met.
+        InputError: an option is unknown or impossible.
     """
     if request.bench == "traffic":
         check_traffic(request, Silent())
     elif request.bench == "adversarial":
-        asked_of(request, Silent(), ATTACKED)
+        resolve_request(request, Silent(), ATTACKED)
     elif request.bench == "transfer":
-        asked_of_transfer(request, Silent())
+        resolve_transfer_request(request, Silent())
     elif request.bench == "defects":
-        asked_of_defects(request, Silent())
+        resolve_defects_request(request, Silent())
     else:
-        asked_of_fewshot(request)
+        resolve_fewshot_request(request)
 
 
-def run_bench(folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter) -> Table:
-    """Run what the folder lacks and write its table in every form.
+def run_bench(folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter) -> Table:
+    """Run the episodes that the folder lacks, and write its table in every format.
 
     Raises:
-        InputError: the request cannot be met.
+        InputError: an option of the request is unknown or impossible.
         FileError: results cannot be stored.
-        EpisodeFailure: a warm-up comes to nothing.
+        EpisodeFailure: a warm-up fails.
     """
     bench = folder.request.bench
     if bench == "traffic":
-        table = run_traffic(folder, workers, teller)
+        table = run_traffic(folder, workers, reporter)
     else:
         closed_loop = _CLOSED_LOOP[bench]
-        cells = closed_loop.plan(folder, workers, limits, teller)
-        _foretell(cells, folder, workers, limits, teller)
-        store = run_cells(cells, folder.sweep, workers, limits, teller)
+        cells = closed_loop.plan(folder, workers, limits, reporter)
+        _report_forecast(cells, folder, workers, limits, reporter)
+        store = run_cells(cells, folder.sweep, workers, limits, reporter)
         table = closed_loop.table(
-            _gathered(closed_loop, cells, store, folder, workers, teller), cells, folder
+            _gathered(closed_loop, cells, store, folder, workers, reporter), cells, folder
         )
     save(folder, table)
     return table
 
 
 def _gathered(
-    bench: ClosedLoop, cells: BenchCells, store: Store, folder: Folder, workers: int, teller: ProgressReporter
+    bench: ClosedLoop,
+    cells: BenchCells,
+    store: Store,
+    folder: Folder,
+    workers: int,
+    reporter: ProgressReporter,
 ) -> Gathered:
     if bench.traced == "no":
         return gather_rows(cells, store)
-    return gather(cells, store, folder.traces, workers, teller, judged=bench.traced == "all")
+    return gather(cells, store, folder.traces, workers, reporter, with_likelihood=bench.traced == "all")
 
 
-def _foretell(
-    cells: BenchCells, folder: Folder, workers: int, limits: WorkerLimits, teller: ProgressReporter
+def _report_forecast(
+    cells: BenchCells, folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter
 ) -> None:
-    """Say how many episodes there are, and how long those that are left will take."""
+    """Report the number of episodes, and how long the remaining ones will take."""
     store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None
-    todo = RemainingJobs.of(cells.plan, store)
-    teller.say(
-        f"{counted(len(cells.plan.jobs), 'episode')} in {counted(len(cells.cells), 'cell')}; {len(todo.jobs)} to do"
-    )
-    expected = forecast(cells, todo.jobs, folder.request.horizon_s, limits)
+    remaining = RemainingJobs.of(cells.plan, store)
+    episodes = f"{counted(len(cells.plan.jobs), 'episode')} in {counted(len(cells.cells), 'cell')}"
+    reporter.say(f"{episodes}; {len(remaining.jobs)} to do")
+    expected = forecast(cells, remaining.jobs, folder.request.horizon_s, limits)
     if expected is not None:
-        each = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in expected.by_background.items())
+        times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in expected.by_background.items())
         minutes = expected.total_s(workers) / 60.0
-        teller.say(
+        reporter.say(
             f"about {minutes:.0f} min on {counted(workers, 'worker')} with a core each; "
-            f"an episode of {each} (measured now)"
+            f"an episode of {times} (measured now)"
         )

@@ -1,4 +1,4 @@
-"""From finished episodes to what the cells of the closed-loop tables are computed from."""
+"""Makes the samples of the closed-loop tables' cells from finished episodes."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Rates:
     def at(self, times: FloatArray) -> FloatArray:
         """Return plans per second for each draw."""
         order = np.argsort(self.plan_s, kind="stable")
-        reached = np.cumsum(times[:, order], axis=1)
-        middle = (reached >= 0.5 * reached[:, -1:]).argmax(axis=1)
-        return np.asarray(1.0 / self.plan_s[order][middle])
+        cumulated = np.cumsum(times[:, order], axis=1)
+        median_index = (cumulated >= 0.5 * cumulated[:, -1:]).argmax(axis=1)
+        return np.asarray(1.0 / self.plan_s[order][median_index])
 
     def rows(self, rows: IntArray) -> Rates:
         """Return the sample of the scenes at *rows*."""
@@ -45,17 +45,17 @@ class Rates:
 
 
 def collision_samples(results: Sequence[EpisodeResult]) -> dict[str, Sample]:
-    """Return collision rate, speed at contact, comfort, and whose fault and how visible collisions were."""
-    hits = [one for one in results if one.row["target_collision"]]
+    """Return the samples of collision rate, speed at contact, comfort, fault, solvability and visibility."""
+    collisions = [result for result in results if result.row["target_collision"]]
     return {
         "collision_rate": _rate(results, lambda row: bool(row["target_collision"])),
-        "collision_mps": _mean(hits, "relative_speed_mps"),
+        "collision_mps": _mean(collisions, "relative_speed_mps"),
         "accel_mps2": _mean(results, "accel_max_mps2"),
         "jerk_mps3": _mean(results, "jerk_max_mps3"),
-        "fault_rate": _rate(hits, lambda row: row["at_fault"] == "target"),
-        "solvable_rate": _shares([(one.scene, one.trace.solvable) for one in hits]),
+        "fault_rate": _rate(collisions, lambda row: row["at_fault"] == "target"),
+        "solvable_rate": _shares([(result.scene, result.trace.solvable) for result in collisions]),
         "seen_rate": _rate(
-            [one for one in hits if one.row["collision_partner"] is not None],
+            [result for result in collisions if result.row["collision_partner"] is not None],
             lambda row: row["attacker_visible"] is not False,
         ),
     }
@@ -64,51 +64,54 @@ def collision_samples(results: Sequence[EpisodeResult]) -> dict[str, Sample]:
 def background_samples(
     results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult], plans: bool = True
 ) -> dict[str, Sample]:
-    """Return how plausible the background was, and how fast it planned.
+    """Return the samples of the background's plausibility and of its plans per second.
 
     Args:
         results: its episodes.
-        natural: the same scenes' traffic without a policy.
-        plans: whether it plans anything.
+        natural: episodes of the same scenes in SUMO's traffic.
+        plans: whether the background plans anything.
     """
-    scenes = tuple(one.scene for one in results)
-    vehicles = np.array([one.trace.vehicles for one in results], dtype=np.float64)
-    hit = np.array([one.trace.hit for one in results], dtype=np.float64)
-    moved = np.array([one.trace.off_road is not None for one in results], dtype=np.bool_)
-    own = moved | (not plans)  # what SUMO's vehicles do where a policy moved nobody is not its doing
+    scenes = tuple(result.scene for result in results)
+    vehicles = np.array([result.trace.vehicles for result in results], dtype=np.float64)
+    hit = np.array([result.trace.hit for result in results], dtype=np.float64)
+    has_moved = np.array([result.trace.off_road is not None for result in results], dtype=np.bool_)
+    counts = has_moved | (not plans)  # a policy is not rated by episodes in which it moved no vehicle
     samples: dict[str, Sample] = {
-        "veh_rate": Ratio(scenes, np.where(own, hit, 0.0), np.where(own, vehicles, 0.0), rate=True)
+        "veh_rate": Ratio(scenes, np.where(counts, hit, 0.0), np.where(counts, vehicles, 0.0), rate=True)
     }
-    if moved.any():
-        off = np.array([one.trace.off_road or 0 for one in results], dtype=np.float64)
-        samples["env_rate"] = Ratio(scenes, off, np.where(moved, vehicles, 0.0), rate=True)
-    nats = np.array([one.trace.nats for one in results])
-    samples["nats"] = Ratio(scenes, nats, np.array([one.trace.seconds for one in results]))
+    if has_moved.any():
+        off_road = np.array([result.trace.off_road or 0 for result in results], dtype=np.float64)
+        samples["env_rate"] = Ratio(scenes, off_road, np.where(has_moved, vehicles, 0.0), rate=True)
+    nats = np.array([result.trace.nats for result in results])
+    samples["nats"] = Ratio(scenes, nats, np.array([result.trace.seconds for result in results]))
     if natural and natural is not results:
-        samples["jsd"] = against(results, natural)
-    times = [(one.scene, one.plan_s) for one in results if one.plan_s is not None and plans]
-    if times:
-        samples["hz"] = Rates(tuple(scene for scene, _ in times), np.array([s for _, s in times]))
+        samples["jsd"] = divergence_from_natural(results, natural)
+    planned = [(result.scene, result.plan_s) for result in results if result.plan_s is not None and plans]
+    if planned:
+        samples["hz"] = Rates(
+            tuple(scene for scene, _ in planned), np.array([plan_s for _, plan_s in planned])
+        )
     return samples
 
 
-def against(results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
-    """Return the divergence of speeds, accelerations and times to collision from those of *natural*."""
-    own, reference = aligned(_histograms(results), _histograms(natural))
-    assert isinstance(own, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
-    return Divergence(own.scenes, own.counts, reference.counts)
+def divergence_from_natural(results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
+    """Return the divergence of speeds, accelerations and times to collision from those of *natural* traffic."""
+    observed, reference = aligned(_histograms(results), _histograms(natural))
+    assert isinstance(observed, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
+    return Divergence(observed.scenes, observed.counts, reference.counts)
 
 
 def _histograms(results: Sequence[EpisodeResult]) -> Divergence:
     counts = tuple(
-        np.array([getattr(one.trace, name) for one in results], dtype=np.float64) for name in _HISTOGRAMS
+        np.array([getattr(result.trace, name) for result in results], dtype=np.float64)
+        for name in _HISTOGRAMS
     )
-    return Divergence(tuple(one.scene for one in results), counts)
+    return Divergence(tuple(result.scene for result in results), counts)
 
 
 def _rate(results: Sequence[EpisodeResult], happened: Callable[[Any], bool]) -> Ratio:
-    flags = np.array([happened(one.row) for one in results], dtype=np.float64)
-    return Ratio(tuple(one.scene for one in results), flags, np.ones(len(flags)), rate=True)
+    flags = np.array([happened(result.row) for result in results], dtype=np.float64)
+    return Ratio(tuple(result.scene for result in results), flags, np.ones(len(flags)), rate=True)
 
 
 def _shares(values: Sequence[tuple[str, bool | None]]) -> Ratio:
@@ -118,6 +121,6 @@ def _shares(values: Sequence[tuple[str, bool | None]]) -> Ratio:
 
 
 def _mean(results: Sequence[EpisodeResult], column: str) -> Ratio:
-    known = [one for one in results if one.row[column] is not None]
-    values = np.array([float(one.row[column]) for one in known])
-    return Ratio(tuple(one.scene for one in known), values, np.ones(len(values)))
+    known = [result for result in results if result.row[column] is not None]
+    values = np.array([float(result.row[column]) for result in known])
+    return Ratio(tuple(result.scene for result in known), values, np.ones(len(values)))

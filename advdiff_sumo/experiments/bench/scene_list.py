@@ -1,4 +1,4 @@
-"""Fixed lists of seed scenes: what the benches start from, so that every row of a table is paired."""
+"""Fixed lists of seed scenes for the benches, so that all rows of a table are paired."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
 DEFECTS_LIST, RED_LIGHTS_LIST = "scenes-defects", "scenes-red-lights"
 TABLE_SEED, TUNING_SEED, DEFECTS_SEED, RED_LIGHTS_SEED = 3001, 7001, 9201, 9301
-_LATER = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": "", "demand": ""}
-"""Fields that lists had not from the beginning, and what stands for their absence."""
+_ADDED = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": "", "demand": ""}
+"""Fields added to lists later, with their defaults; they are written only if they differ from these."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0
 
 
 class ListedScene(Options):
-    """One seed scene; net, seed and number make it again with one version of SUMO.
+    """One seed scene; net, seed, stratum and number reproduce it with the same version of SUMO.
 
     Attributes:
         net: a shipped net or a path.
-        seed: root of the random numbers, as ``run --seed``.
+        seed: root of the random numbers, as of ``run --seed``.
         number: of the scene on that net with that seed in that stratum.
-        stratum: name of the list's options that it is found by; "": the list's own.
+        stratum: key of its options in the list's ``strata``; "": the list's ``scene``.
     """
 
     net: str
@@ -45,19 +45,19 @@ class ListedScene(Options):
 
     @property
     def place(self) -> tuple[str, int, str, int]:
-        """What makes it again."""
+        """Net, seed, stratum and number."""
         return self.net, self.seed, self.stratum, self.number
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _as_when_made(write(self))
+        return _without_added(write(self))
 
 
 class Stratum(Options):
-    """A part of a list: seed scenes that are found in one way.
+    """A part of a list: seed scenes that are found with the same options.
 
     Attributes:
-        nets: where.
+        nets: on which they are found.
         scene: how they are found.
     """
 
@@ -70,17 +70,17 @@ class SceneList(Options):
 
     Attributes:
         format: of the file.
-        about: what it is for.
+        about: its purpose.
         nets: net → digest of its files when the list was made.
-        sumo: version of SUMO that the list is for; another one may draw other traffic from the same seeds.
-        horizon_s: duration of the episodes that it is for; traffic is drawn until their end, so that another one
-            draws other traffic from the same seeds, too.
-        scene: how scenes are found that are of no stratum.
-        strata: how those of each stratum are found.
-        scenes: strata and nets in turn, numbers rising.
-        log: root of the driving log that they come from; "": SUMO traffic.
+        sumo: version of SUMO for which it is made; with another one, the same seeds may give other traffic.
+        horizon_s: duration of the episodes for which it is made. Traffic is generated until their end, so with another
+            duration the same seeds give other traffic, too.
+        scene: how scenes without stratum are found.
+        strata: how scenes of each stratum are found.
+        scenes: strata and nets in turn, by increasing number.
+        log: root of the driving log; "": scenes of SUMO traffic.
         demand: route file or SUMO configuration of the traffic; "": that of a net's configuration, or generated.
-        sha256: of all that precedes, as canonical JSON.
+        sha256: of all other fields, as canonical JSON.
     """
 
     format: Literal["advdiff-scenes-1"] = FORMAT
@@ -98,39 +98,39 @@ class SceneList(Options):
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written = write(self)
-        written["scene"] = _as_when_made(written["scene"])
-        written["strata"] = {name: _as_when_made(scene) for name, scene in written["strata"].items()}
-        return _as_when_made(written)
+        written["scene"] = _without_added(written["scene"])
+        written["strata"] = {name: _without_added(scene) for name, scene in written["strata"].items()}
+        return _without_added(written)
 
     @property
     def content_digest(self) -> str:
-        """SHA-256 of the list, the digest itself apart."""
+        """SHA-256 of the list without ``sha256``."""
         text = json.dumps(
             self.model_dump(mode="json", exclude={"sha256"}), sort_keys=True, separators=(",", ":")
         )
         return hashlib.sha256(text.encode()).hexdigest()
 
     def first(self, count: int) -> SceneList:
-        """Return the first *count* scenes; smaller lists are contained in larger ones.
+        """Return the list of the first *count* scenes; a shorter list is part of a longer one.
 
         Raises:
-            ConfigError: there are not so many.
+            ConfigError: the list has fewer scenes.
         """
         if count > len(self.scenes):
             raise ConfigError(f"--scenes {count}: the list has {len(self.scenes)}; ask for at most so many")
-        few = self.model_copy(update={"scenes": self.scenes[:count], "sha256": ""})
-        return few.model_copy(update={"sha256": few.content_digest})
+        shortened = self.model_copy(update={"scenes": self.scenes[:count], "sha256": ""})
+        return shortened.model_copy(update={"sha256": shortened.content_digest})
 
     def counts(self) -> dict[tuple[str, int, str], int]:
-        """Return how many scenes each net, seed and stratum has, in the list's order."""
+        """Return the number of scenes of each net, seed and stratum, in the list's order."""
         return dict(Counter(scene.place[:3] for scene in self.scenes))
 
 
 def read_scene_list(path: Path) -> SceneList:
-    """Read a list and hold it against its own digest and against the nets.
+    """Read a list and check its digest and those of its nets.
 
     Raises:
-        FileError: it is missing, no such list, was changed by hand, or its nets are others now.
+        FileError: the file is missing, is no such list or was changed by hand, or its nets have changed.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -144,8 +144,8 @@ def read_scene_list(path: Path) -> SceneList:
     if scene_list.sha256 != scene_list.content_digest:
         raise FileError(path, "is not what its sha256 says", "restore it, or make a list of your own")
     _check_order(scene_list, path)
-    for net, known in scene_list.nets.items():
-        if file_digest(*net_files(net)) != known:
+    for net, net_digest in scene_list.nets.items():
+        if file_digest(*net_files(net)) != net_digest:
             raise FileError(path, f"was made on another net '{net}'", "restore that net, or make a new list")
     return scene_list
 
@@ -166,17 +166,17 @@ def shipped_list(name: str = TABLE_LIST) -> Path:
     )
 
 
-def choose_scenes(asked: str, name: str = TABLE_LIST) -> SceneList:
-    """Return the scenes that ``--scenes`` asks for: a number of the first of the shipped list *name*, or a list's file.
+def choose_scenes(requested: str, name: str = TABLE_LIST) -> SceneList:
+    """Return the scenes of ``--scenes``: the first ones of the shipped list *name*, or those of the file of a list.
 
     Raises:
-        InputError: no such file or number.
+        InputError: there is no such file, or the number is impossible.
     """
-    if asked.isdigit() and int(asked) > 0:
-        return read_scene_list(shipped_list(name)).first(int(asked))
-    if asked.lstrip("+-").isdigit():
-        raise ConfigError(f"--scenes {asked}: give a number above 0, or the file of a list")
-    return read_scene_list(Path(asked))
+    if requested.isdigit() and int(requested) > 0:
+        return read_scene_list(shipped_list(name)).first(int(requested))
+    if requested.lstrip("+-").isdigit():
+        raise ConfigError(f"--scenes {requested}: give a number above 0, or the file of a list")
+    return read_scene_list(Path(requested))
 
 
 def make_list(
@@ -191,43 +191,43 @@ def make_list(
     """Return a new list; the same arguments give the same list.
 
     Args:
-        per_net: scenes on each net, of each stratum where there are strata.
-        seed: of all of them; each stratum has one of its own, counted on from it.
-        about: what it is for.
-        nets: where; strata have their own.
-        scene: how scenes are found; None: as ``run`` does.
-        horizon_s: duration of the episodes that it is for.
-        strata: parts of the list that are found in different ways; None: one way for all.
+        per_net: number of scenes on each net, with strata for each stratum.
+        seed: of all scenes; the k-th stratum has *seed* + k, from k = 0.
+        about: its purpose.
+        nets: of the list; strata have their own.
+        scene: how scenes are found; None: as by ``run``.
+        horizon_s: duration of the episodes for which it is made.
+        strata: parts of the list with their own options; None: all scenes are found with *scene*.
 
     Raises:
         InputError: there is no such net.
     """
     scene_options = scene if scene is not None else SceneOptions()
     parts = strata or {"": Stratum(nets=tuple(nets), scene=scene_options)}
-    places = [
+    groups = [
         (net_name(net), seed + k, name)
         for k, (name, stratum) in enumerate(parts.items())
         for net in stratum.nets
     ]
     scenes = tuple(
-        ListedScene(net=net, seed=own_seed, number=number, stratum=name)
+        ListedScene(net=net, seed=group_seed, number=number, stratum=name)
         for number in range(per_net)
-        for net, own_seed, name in places
+        for net, group_seed, name in groups
     )
-    whole = SceneList(
+    scene_list = SceneList(
         about=about,
-        nets={net: file_digest(*net_files(net)) for net, _, _ in places},
+        nets={net: file_digest(*net_files(net)) for net, _, _ in groups},
         sumo=version("libsumo"),
         horizon_s=horizon_s,
         scene=scene_options,
         strata={name: stratum.scene for name, stratum in parts.items() if name},
         scenes=scenes,
     )
-    return whole.model_copy(update={"sha256": whole.content_digest})
+    return scene_list.model_copy(update={"sha256": scene_list.content_digest})
 
 
 def write_scene_list(path: Path, scenes: SceneList) -> None:
-    """Write a list, one scene a line.
+    """Write a list, one scene per line.
 
     Raises:
         FileError: it cannot be written.
@@ -238,13 +238,13 @@ def write_scene_list(path: Path, scenes: SceneList) -> None:
     write_whole(path, f'{head[:-2]},\n "scenes": [\n  {rows}\n ]\n}}\n'.encode())
 
 
-def _as_when_made(written: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields as a list writes them: a later one only where it is set."""
-    return {name: value for name, value in written.items() if name not in _LATER or _LATER[name] != value}
+def _without_added(written: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields without those added later that have their defaults."""
+    return {name: value for name, value in written.items() if name not in _ADDED or _ADDED[name] != value}
 
 
 def _check_order(scenes: SceneList, path: Path) -> None:
-    """Refuse unknown strata, and scenes of a net, seed and stratum not numbered 0, 1, 2, …: sweeps count like that."""
+    """Refuse unknown strata, and scenes not numbered 0, 1, 2, … for each net, seed and stratum, as sweeps do."""
     counts: Counter[tuple[str, int, str]] = Counter()
     for scene in scenes.scenes:
         if scene.stratum and scene.stratum not in scenes.strata:

@@ -1,4 +1,4 @@
-"""A bench's table as values, before it is printed, drawn or written."""
+"""The table of a bench as values, before it is printed, drawn or written."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Head:
 
     Attributes:
         key: its name in files.
-        title: what is printed.
+        title: printed name.
         unit: its unit; "" for none.
-        scale: what figures are multiplied with for printing: 100 for percent.
-        digits: behind the point.
-        better: which figures are better for a background policy; "" where that makes no sense.
-        measured: wall-clock, which differs from run to run; kept out of the files that do not.
+        scale: factor of printed figures: 100 for percent.
+        digits: printed after the decimal point.
+        better: which figures are better for a background policy; "" if neither.
+        measured: a wall-clock time, which differs between runs; it is written to separate files.
     """
 
     key: str
@@ -41,9 +41,9 @@ class Cell:
     """A figure.
 
     Attributes:
-        found: our own, unscaled.
-        paper: the paper's, in printed units; None where it has none.
-        best: the best of its column among the rows that compete.
+        found: our estimate, unscaled.
+        paper: the paper's figure, in printed units; None if it has none.
+        best: the best of its column among the competing rows of its group.
     """
 
     found: Estimate
@@ -57,10 +57,10 @@ class Line:
 
     Attributes:
         key: its name in files.
-        group: what stands before it, such as the target.
-        title: what is printed.
-        cells: by column; those without a figure are missing.
-        reference: it is looked at beside the others and does not compete.
+        group: printed before it, such as the target.
+        title: printed name.
+        cells: by column; cells without a figure are missing.
+        reference: it serves for comparison and does not compete.
     """
 
     key: str
@@ -91,14 +91,14 @@ class Gap:
 
 @dataclass(frozen=True)
 class Table:
-    """A bench's result.
+    """The result of a bench.
 
     Attributes:
         bench: its verb.
-        title: what it is.
+        title: of the table.
         heads: columns.
         lines: rows.
-        gaps: paired differences to the best rival.
+        gaps: paired differences to rivals.
         notes: sentences below it: definitions, sizes, what is missing.
     """
 
@@ -112,7 +112,7 @@ class Table:
 
 @dataclass(frozen=True)
 class RowSamples:
-    """What one row's cells are computed from.
+    """The samples of one row's cells.
 
     Attributes:
         key: of the row.
@@ -120,7 +120,7 @@ class RowSamples:
         title: of the row.
         samples: by column.
         reference: it does not compete.
-        ours: it is the method that the others are held against.
+        ours: it is our method, with which the others are compared.
     """
 
     key: str
@@ -137,7 +137,7 @@ class RowSamples:
 
 
 def paper_table(bench: str) -> Mapping[str, Mapping[str, float]]:
-    """Return the paper's own table for *bench*: row → column → figure, in percent, divergences times a hundred."""
+    """Return the paper's table for *bench*: row → column → figure; shares in percent, divergences times 100."""
     text = files(__package__).joinpath("paper.json").read_text(encoding="utf-8")
     rows: Mapping[str, Mapping[str, float]] = json.loads(text)[bench]["rows"]
     return rows
@@ -150,7 +150,7 @@ def lines_of(
 
     Args:
         heads: columns.
-        rows: what the cells are computed from.
+        rows: samples of the cells.
         paper: the paper's figures, by :attr:`RowSamples.name` and column.
     """
     estimates = {
@@ -164,16 +164,16 @@ def lines_of(
         for head in heads
     }
 
-    def cell(row: RowSamples, key: str, one: Estimate) -> Cell:
-        wins = not row.reference and one.value is not None and one.value == best[row.group, key]
-        return Cell(one, paper.get(row.name, {}).get(key), wins)
+    def cell(row: RowSamples, key: str, found: Estimate) -> Cell:
+        is_best = not row.reference and found.value is not None and found.value == best[row.group, key]
+        return Cell(found, paper.get(row.name, {}).get(key), is_best)
 
     return tuple(
         Line(
             row.key,
             row.group,
             row.title,
-            {key: cell(row, key, one) for key, one in estimates[row.name].items()},
+            {key: cell(row, key, found) for key, found in estimates[row.name].items()},
             row.reference,
         )
         for row in rows
@@ -181,17 +181,17 @@ def lines_of(
 
 
 def gaps_of(heads: Sequence[Head], rows: Sequence[RowSamples]) -> tuple[Gap, ...]:
-    """Return ours less the others: in the first column each of them, in the rest the best rival."""
+    """Return our figures less those of others: in the first column of each other row, else of the best rival."""
     gaps = []
     for group in dict.fromkeys(row.group for row in rows):
-        here = [row for row in rows if row.group == group]
-        ours = next((row for row in here if row.ours), None)
+        group_rows = [row for row in rows if row.group == group]
+        ours = next((row for row in group_rows if row.ours), None)
         if ours is None:
             continue
-        others = [row for row in here if not row.ours]
+        others = [row for row in group_rows if not row.ours]
         for head in heads:
-            best = _best_row(head, [row for row in others if not row.reference])
-            rivals = others if head is heads[0] else [best] if best is not None else []
+            best_rival = _best_row(head, [row for row in others if not row.reference])
+            rivals = others if head is heads[0] else [best_rival] if best_rival is not None else []
             gaps += [
                 _gap(head, ours, rival)
                 for rival in rivals
@@ -208,10 +208,10 @@ def _gap(head: Head, ours: RowSamples, rival: RowSamples) -> Gap:
 def _best_row(head: Head, rivals: Sequence[RowSamples]) -> RowSamples | None:
     if not head.better or head.measured:
         return None
-    known = [(estimate(row.samples[head.key]).value, row) for row in rivals if head.key in row.samples]
-    values = [(value, row) for value, row in known if value is not None]
-    pick = max if head.better == "high" else min
-    return pick(values, key=lambda one: one[0])[1] if values else None
+    estimates = [(estimate(row.samples[head.key]).value, row) for row in rivals if head.key in row.samples]
+    values = [(value, row) for value, row in estimates if value is not None]
+    choose = max if head.better == "high" else min
+    return choose(values, key=lambda pair: pair[0])[1] if values else None
 
 
 def _best_value(head: Head, rows: Sequence[Mapping[str, Estimate]]) -> float | None:

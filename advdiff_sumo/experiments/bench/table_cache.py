@@ -1,4 +1,4 @@
-"""A finished table in its folder: written, drawn, and read again without running anything."""
+"""Stores a finished table in its folder, and reads it again without running anything."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from advdiff_sumo.experiments.bench.table import Head, Line, Table
 from advdiff_sumo.experiments.bench.write_table import json_text, write_files
 from advdiff_sumo.sweep.sweep_files import write_whole
 
-_TABLE, _TIMED, _DONE = "table.json", "timing.json", "done.json"
+_TABLE, _TIMING, _DONE = "table.json", "timing.json", "done.json"
 
 
 def save(folder: Folder, table: Table) -> None:
-    """Write *table* in every form, and that it answers what was asked.
+    """Write *table* in every format, with the digest of its request.
 
     Raises:
         FileError: a file cannot be written.
     """
     write_files(folder.path, table)
     timed = tuple(head for head in table.heads if head.measured)
-    write_whole(folder.path / _TIMED, json_text(replace(table, gaps=(), notes=()), timed).encode())
+    write_whole(folder.path / _TIMING, json_text(replace(table, gaps=(), notes=()), timed).encode())
     draw(folder.path / "table.png", table)
-    write_whole(folder.path / _DONE, json.dumps({"asked": folder.asked}).encode())
+    write_whole(folder.path / _DONE, json.dumps({"asked": folder.request_digest}).encode())
 
 
 def finished(folder: Folder) -> Table | None:
-    """Return the table of the folder; None unless it answers what is asked.
+    """Return the table of the folder; None if it is missing or belongs to another request.
 
     Raises:
         FileError: it is damaged.
     """
     try:
-        asked = json.loads((folder.path / _DONE).read_text(encoding="utf-8"))["asked"]
+        finished_digest = json.loads((folder.path / _DONE).read_text(encoding="utf-8"))["asked"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return read_table(folder.path) if asked == folder.asked else None
+    return read_table(folder.path) if finished_digest == folder.request_digest else None
 
 
 def read_table(path: Path) -> Table:
@@ -51,14 +51,14 @@ def read_table(path: Path) -> Table:
     Raises:
         FileError: there is none, or it is damaged.
     """
-    steady, timed = _read(path / _TABLE), _read(path / _TIMED)
-    more = {(line.group, line.key): line.cells for line in timed.lines}
+    steady, timed = _read(path / _TABLE), _read(path / _TIMING)
+    timed_cells = {(line.group, line.key): line.cells for line in timed.lines}
     lines = tuple(
         Line(
             line.key,
             line.group,
             line.title,
-            {**line.cells, **more.get((line.group, line.key), {})},
+            {**line.cells, **timed_cells.get((line.group, line.key), {})},
             line.reference,
         )
         for line in steady.lines
@@ -67,9 +67,9 @@ def read_table(path: Path) -> Table:
 
 
 def _in_order(steady: tuple[Head, ...], timed: tuple[Head, ...]) -> tuple[Head, ...]:
-    """Put the measured columns behind the plausibility of the background, where the paper has them."""
-    at = next((k + 1 for k, head in enumerate(steady) if head.key == "veh_rate"), len(steady))
-    return (*steady[:at], *timed, *steady[at:])
+    """Insert the measured columns after the background's plausibility, as in the paper."""
+    index = next((k + 1 for k, head in enumerate(steady) if head.key == "veh_rate"), len(steady))
+    return (*steady[:index], *timed, *steady[index:])
 
 
 def _read(path: Path) -> Table:

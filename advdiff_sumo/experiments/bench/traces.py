@@ -1,4 +1,4 @@
-"""What the tables need of an episode beyond its row: who the background vehicles were and how they drove."""
+"""Computes what tables need of an episode besides its row: how the background vehicles drove."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.training.realism import ACCEL_BINS, SPEED_BINS
 
 NEAR_M = 60.0
-"""Background vehicles nearer than this to the target count, moved or not: the default control radius."""
+"""Background vehicles nearer than this to the target count, moved by a policy or not: the default control radius."""
 
 
 @dataclass(frozen=True)
 class BackgroundTrace:
-    """One episode's background; counts are of vehicles.
+    """The background of one episode; counts are of vehicles.
 
     Attributes:
-        vehicles: background vehicles that the policy moved; with background sumo, those that came near.
+        vehicles: background vehicles that the policy moved; if it moved none, those that came near the target.
         hit: of these, how many collided with another background vehicle.
-        off_road: of these, how many came to be off the road; None where nobody was moved.
-        speed: counts of their speeds near the target, at 2 Hz.
-        accel: the same of accelerations, differences of speed over 0.5 s.
-        ttc: the same of the least time to collision with anybody else; the last bin is none in 10 s.
+        off_road: background vehicles that left the road; None if the policy moved none.
+        speed: histogram of speeds near the target, at 2 Hz.
+        accel: histogram of accelerations near the target, differences of speed over 0.5 s.
+        ttc: histogram of least times to collision with any road user; the last bin: none within 10 s.
         nats: sum of the bounds on log-likelihoods, see :mod:`likelihood`.
-        seconds: vehicle-seconds that they are of; 0 where they were not asked for.
-        solvable: where the target collided and it was asked for, whether it could have driven otherwise, see
-            ``experiments.solution``.
-        both: how many of the vehicles both collided with another one and came to be off the road.
+        seconds: vehicle-seconds of these bounds; 0 if they were not computed.
+        solvable: whether the target could have avoided its collision, see ``experiments.solution``; None if it did not
+            collide, or this was not computed.
+        both: vehicles that both collided with another one and left the road.
     """
 
     vehicles: int
@@ -75,59 +75,63 @@ class BackgroundTrace:
 
 
 UNTRACED = BackgroundTrace(0, 0, None, (), (), (), 0.0, 0.0)
-"""Nothing is known of the background."""
+"""A trace without any information."""
 
 
-def trace_of(folder: Path, key: str, net: str, judged: bool = True) -> bytes:
-    """Return the trace of the episode *key* of the sweep in *folder*; empty where it has no states.
+def trace_of(folder: Path, key: str, net: str, with_likelihood: bool = True) -> bytes:
+    """Return the trace of the episode *key* of the sweep in *folder* as bytes; empty if it has no states.
 
     Args:
         folder: of the sweep.
         key: of the episode.
-        net: that it was driven on.
-        judged: say how likely it was and whether its collision could have been avoided.
+        net: of the episode.
+        with_likelihood: compute likelihoods and whether a collision could have been avoided.
     """
-    part = Store(folder).read(key)
-    return b"" if part is None or "states" not in part.tables else _trace(part, _road(net), judged)
+    stored = Store(folder).read(key)
+    if stored is None or "states" not in stored.tables:
+        return b""
+    return _trace(stored, _road(net), with_likelihood)
 
 
-def _trace(part: StoredEpisode, road: RoadMap, judged: bool) -> bytes:
-    states = states_of(part.tables["states"])
+def _trace(stored: StoredEpisode, road: RoadMap, with_likelihood: bool) -> bytes:
+    states = states_of(stored.tables["states"])
     if states is None:
         return b""
-    (row,) = part.tables["episodes"].to_pylist()
+    (row,) = stored.tables["episodes"].to_pylist()
     coarse = at_model_step(states.tracks)
-    near = near_target(coarse, states.target)
-    counted = _counted(states, near)
-    speed, accel, ttc = histograms(coarse, near)
-    nats, seconds = natural_nats(road, coarse, states.target, _ever(near)) if judged else (0.0, 0.0)
-    hit = _hit(part.tables["collisions"], states.tracks, counted)
+    is_near = near_target(coarse, states.target)
+    is_counted = _counted_vehicles(states, is_near)
+    speed, accel, ttc = histograms(coarse, is_near)
+    nats, seconds = 0.0, 0.0
+    if with_likelihood:
+        nats, seconds = natural_nats(road, coarse, states.target, _at_any_time(is_near))
+    collided = _collided_rows(stored.tables["collisions"], states.tracks, is_counted)
     return BackgroundTrace(
-        vehicles=int(counted.sum()),
-        hit=len(hit),
+        vehicles=int(is_counted.sum()),
+        hit=len(collided),
         off_road=int(row["bv_offroad_vehicles"]) if states.moved else None,
         speed=speed,
         accel=accel,
         ttc=ttc,
         nats=nats,
         seconds=seconds,
-        solvable=_solvable(part, road) if judged and row["target_collision"] else None,
-        both=len(hit & _off_road(part, road)) if hit and row["bv_offroad_vehicles"] else 0,
+        solvable=_solvable(stored, road) if with_likelihood and row["target_collision"] else None,
+        both=len(collided & _off_road(stored, road)) if collided and row["bv_offroad_vehicles"] else 0,
     ).to_bytes()
 
 
-def _off_road(part: StoredEpisode, road: RoadMap) -> frozenset[int]:
-    """Return the rows of the background vehicles that came to be off the road."""
-    record = stored_record(part.tables["states"])
+def _off_road(stored: StoredEpisode, road: RoadMap) -> frozenset[int]:
+    """Return the rows of the background vehicles that left the road."""
+    record = stored_record(stored.tables["states"])
     return frozenset() if record is None else frozenset(background_off_road(record, road).rows)
 
 
-def _solvable(part: StoredEpisode, road: RoadMap) -> bool | None:
-    """Return whether the target could have avoided its collision; None where it left the road or nobody can say."""
-    (row,) = part.tables["episodes"].to_pylist()
+def _solvable(stored: StoredEpisode, road: RoadMap) -> bool | None:
+    """Return whether the target could have avoided its collision; None if it left the road or this is unknown."""
+    (row,) = stored.tables["episodes"].to_pylist()
     if row["collision_partner"] is None:
         return None
-    record = stored_record(part.tables["states"], row)
+    record = stored_record(stored.tables["states"], row)
     try:
         return None if record is None else solvable(record, road)
     except AdvdiffError:
@@ -135,25 +139,27 @@ def _solvable(part: StoredEpisode, road: RoadMap) -> bool | None:
 
 
 def at_model_step(tracks: Tracks) -> Tracks:
-    """Return every instant of *tracks* that is a multiple of 0.5 s."""
+    """Return *tracks* at intervals of 0.5 s."""
     return tracks.every(round(MODEL_STEP_S / tracks.dt_s))
 
 
 def near_target(tracks: Tracks, target: int) -> BoolArray:
-    """Return (A, T) which background vehicles are near the target."""
+    """Return which background vehicles are near the target (A, T)."""
     with np.errstate(invalid="ignore"):
-        near = np.linalg.norm(tracks.xy_m - tracks.xy_m[target], axis=-1) < NEAR_M
-    near &= tracks.valid & tracks.valid[target]
-    near[tracks.classes == AgentClass.PEDESTRIAN] = False
-    near[target] = False
-    return np.asarray(near)
+        is_near = np.linalg.norm(tracks.xy_m - tracks.xy_m[target], axis=-1) < NEAR_M
+    is_near &= tracks.valid & tracks.valid[target]
+    is_near[tracks.classes == AgentClass.PEDESTRIAN] = False
+    is_near[target] = False
+    return np.asarray(is_near)
 
 
-def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Return counts of speeds, accelerations and times to collision, with anybody, of the vehicles *near* (A, T)."""
-    later = near[:, 1:] & tracks.valid[:, :-1]
-    accel = (np.diff(tracks.speed_mps, axis=1) / tracks.dt_s)[later]
-    seconds = least_ttc(
+def histograms(
+    tracks: Tracks, is_near: BoolArray
+) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Return histograms of speeds, accelerations and times to collision of vehicles while *is_near* (A, T)."""
+    has_accel = is_near[:, 1:] & tracks.valid[:, :-1]
+    accel = (np.diff(tracks.speed_mps, axis=1) / tracks.dt_s)[has_accel]
+    ttc_s = least_ttc(
         tracks.xy_m.swapaxes(0, 1),
         tracks.yaw_rad.T,
         velocities(tracks).swapaxes(0, 1),
@@ -161,40 +167,40 @@ def histograms(tracks: Tracks, near: BoolArray) -> tuple[tuple[int, ...], tuple[
         tracks.valid.T,
     )
     return (
-        _whole(_counts(tracks.speed_mps[near], SPEED_BINS)),
-        _whole(_counts(accel, ACCEL_BINS)),
-        _whole(ttc_counts(seconds[near.T])),
+        _int_tuple(_counts(tracks.speed_mps[is_near], SPEED_BINS)),
+        _int_tuple(_counts(accel, ACCEL_BINS)),
+        _int_tuple(ttc_counts(ttc_s[is_near.T])),
     )
 
 
-def _counted(states: EpisodeStates, near: BoolArray) -> BoolArray:
-    """Return (A,) the background vehicles that rates are of."""
+def _counted_vehicles(states: EpisodeStates, is_near: BoolArray) -> BoolArray:
+    """Return which background vehicles (A,) count for rates: the moved ones, or if there are none the near ones."""
     if not states.moved:
-        return _ever(near)
-    counted = np.zeros(states.tracks.agents, dtype=np.bool_)
-    counted[sorted(states.moved)] = True
-    return counted
+        return _at_any_time(is_near)
+    is_counted = np.zeros(states.tracks.agents, dtype=np.bool_)
+    is_counted[sorted(states.moved)] = True
+    return is_counted
 
 
-def _ever(near: BoolArray) -> BoolArray:
-    """Return (A,) who of (A, T) is so at any instant."""
-    return np.asarray(near.any(axis=1), dtype=np.bool_)
+def _at_any_time(mask: BoolArray) -> BoolArray:
+    """Return for which agents (A,) *mask* (A, T) holds at any instant."""
+    return np.asarray(mask.any(axis=1), dtype=np.bool_)
 
 
-def _hit(collisions: pa.Table, tracks: Tracks, counted: BoolArray) -> frozenset[int]:
-    """Return the rows of those who are *counted* and ran into another background vehicle."""
-    names: set[str] = set()
+def _collided_rows(collisions: pa.Table, tracks: Tracks, is_counted: BoolArray) -> frozenset[int]:
+    """Return the rows of counted vehicles that collided with another background vehicle."""
+    ids: set[str] = set()
     for row in collisions.to_pylist():
         if not row["with_target"] and not row["initial"]:
-            names |= {str(row["first"]), str(row["second"])}
-    return frozenset(row for name, row in tracks.index.items() if name in names and counted[row])
+            ids |= {str(row["first"]), str(row["second"])}
+    return frozenset(row for agent_id, row in tracks.index.items() if agent_id in ids and is_counted[row])
 
 
 def _counts(values: FloatArray, bins: FloatArray) -> FloatArray:
     return np.histogram(np.clip(values, bins[0], bins[-1]), bins)[0].astype(np.float64)
 
 
-def _whole(counts: FloatArray) -> tuple[int, ...]:
+def _int_tuple(counts: FloatArray) -> tuple[int, ...]:
     return tuple(int(count) for count in counts)
 
 

@@ -1,4 +1,4 @@
-"""A bench's table as files: CSV, LaTeX, Markdown and JSON."""
+"""Writes a bench's table as files: CSV, LaTeX, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.experiments.bench import formatting
 from advdiff_sumo.experiments.bench.table import Cell, Head, Table
 from advdiff_sumo.sweep.sweep_files import write_whole
 
-_SPECIAL = {
+_LATEX_ESCAPES = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
     "%": r"\%",
@@ -41,19 +41,19 @@ def write_files(folder: Path, table: Table) -> None:
     Raises:
         FileError: one cannot be written.
     """
-    steady = tuple(head for head in table.heads if not head.measured)
+    deterministic = tuple(head for head in table.heads if not head.measured)
     timed = tuple(head for head in table.heads if head.measured)
-    write_whole(folder / "table.csv", csv_text(table, steady).encode())
+    write_whole(folder / "table.csv", csv_text(table, deterministic).encode())
     if timed:
         write_whole(folder / "timing.csv", csv_text(table, timed).encode())
     write_whole(folder / "differences.csv", differences_text(table).encode())
     write_whole(folder / "table.tex", latex_text(table).encode())
     write_whole(folder / "table.md", markdown_text(table).encode())
-    write_whole(folder / "table.json", json_text(table, steady).encode())
+    write_whole(folder / "table.json", json_text(table, deterministic).encode())
 
 
 def csv_text(table: Table, heads: Sequence[Head]) -> str:
-    """Return one line a row and column: figure, interval, sample size, and the paper's figure."""
+    """Return one line for each row and column: figure, interval, sample size, and the paper's figure."""
     return formatting.comma_separated(
         ("target", "row", "column", "unit", "value", "low", "high", "n", "paper"),
         (
@@ -66,7 +66,7 @@ def csv_text(table: Table, heads: Sequence[Head]) -> str:
 
 
 def differences_text(table: Table) -> str:
-    """Return the differences to the best rival, one a line."""
+    """Return the differences to rivals, one per line."""
     names = ("target", "column", "unit", "ours", "rival", "difference", "low", "high", "p", "scenes")
     heads, rows = {head.key: head for head in table.heads}, []
     for gap in table.gaps:
@@ -89,17 +89,17 @@ def json_text(table: Table, heads: Sequence[Head]) -> str:
 
 def latex_text(table: Table) -> str:
     r"""Return a table for LaTeX; it needs the packages booktabs, xcolor and graphicx, the latter for ``\resizebox``."""
-    groups = any(line.group for line in table.lines)
-    columns = ("l" if groups else "") + "l" + "r" * len(table.heads)
-    titles = [*([""] if groups else []), "", *(escaped(formatting.heading(head)) for head in table.heads)]
-    body, before = [], None
+    has_groups = any(line.group for line in table.lines)
+    columns = ("l" if has_groups else "") + "l" + "r" * len(table.heads)
+    titles = [*([""] if has_groups else []), "", *(escaped(formatting.heading(head)) for head in table.heads)]
+    body, previous_group = [], None
     for line in table.lines:
-        if before is not None and line.group != before:
+        if previous_group is not None and line.group != previous_group:
             body.append(r"\midrule")
-        label = [escaped(line.group) if line.group != before else ""] if groups else []
+        label = [escaped(line.group) if line.group != previous_group else ""] if has_groups else []
         cells = (_latex_cell(line.cells.get(head.key), head) for head in table.heads)
         body.append(" & ".join((*label, escaped(line.title), *cells)) + r" \\")
-        before = line.group
+        previous_group = line.group
     rows = "\n".join(body)
     return (
         "% needs booktabs, xcolor, graphicx\n"
@@ -113,12 +113,12 @@ def latex_text(table: Table) -> str:
 
 def markdown_text(table: Table) -> str:
     """Return the table, its differences and notes as Markdown."""
-    groups = any(line.group for line in table.lines)
-    titles = [*(["target"] if groups else []), "", *(formatting.heading(head) for head in table.heads)]
+    has_groups = any(line.group for line in table.lines)
+    titles = [*(["target"] if has_groups else []), "", *(formatting.heading(head) for head in table.heads)]
     rows = [titles, ["---"] * len(titles)]
     for line in table.lines:
         cells = [_markdown_cell(line.cells.get(head.key), head) for head in table.heads]
-        rows.append([*([line.group] if groups else []), line.title, *cells])
+        rows.append([*([line.group] if has_groups else []), line.title, *cells])
     text = "".join(f"| {' | '.join(row)} |\n" for row in rows)
     if table.gaps:
         text += "\n" + _markdown_gaps(table)
@@ -127,20 +127,20 @@ def markdown_text(table: Table) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return *text* so that LaTeX prints it as it stands."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in text)
+    """Return *text* with LaTeX's special characters escaped."""
+    return "".join(_LATEX_ESCAPES.get(letter, letter) for letter in text)
 
 
 def _markdown_gaps(table: Table) -> str:
     heads = {head.key: head for head in table.heads}
-    several = table.bench == "defects"  # there each row is held against the sound one
-    titles = "compared | difference" if several else "best rival | ours less it"
+    is_defects = table.bench == "defects"  # which compares each row with the sound one
+    titles = "compared | difference" if is_defects else "best rival | ours less it"
     text = f"| target | figure | {titles} | 95 % | McNemar | scenes |\n|---|---|---|---|---|---|---|\n"
     for gap in table.gaps:
         head, difference = heads[gap.column], gap.found
-        between = formatting.interval(difference.low, difference.high, head)
-        pair = f"{gap.ours} less {gap.rival}" if several else gap.rival
-        cells = (gap.group, formatting.heading(head), pair, formatting.change(difference, head), between)
+        interval = formatting.interval(difference.low, difference.high, head)
+        pair = f"{gap.ours} less {gap.rival}" if is_defects else gap.rival
+        cells = (gap.group, formatting.heading(head), pair, formatting.change(difference, head), interval)
         text += f"| {' | '.join((*cells, formatting.p_value(difference.p), str(difference.scenes)))} |\n"
     return text
 
@@ -163,9 +163,9 @@ def _latex_cell(cell: Cell | None, head: Head) -> str:
         return "--"
     value = escaped(formatting.number(cell.found.value, head))
     parts = [f"\\textbf{{{value}}}" if cell.best else value]
-    between = formatting.interval(cell.found.low, cell.found.high, head)
-    if between:
-        parts.append(f"{{\\scriptsize {between}}}")
+    interval = formatting.interval(cell.found.low, cell.found.high, head)
+    if interval:
+        parts.append(f"{{\\scriptsize {interval}}}")
     paper = formatting.paper_number(cell)
     if paper:
         parts.append(f"\\textcolor{{gray}}{{{paper}}}")

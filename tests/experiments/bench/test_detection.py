@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_figure import draw
-from advdiff_sumo.experiments.bench.defect_cells import SOUND, plan_defects, planted_in
+from advdiff_sumo.experiments.bench.defect_cells import SOUND, plan_defects, planted_defects
 from advdiff_sumo.experiments.bench.defect_score import (
     by_stratum_text,
     contests_of,
@@ -25,12 +25,12 @@ from advdiff_sumo.experiments.bench.defect_score import (
 )
 from advdiff_sumo.experiments.bench.detection import (
     EpisodeOutcome,
-    Tried,
+    SceneOutcomes,
     detections,
     first_detection,
     least_scenes,
     ranking_auc,
-    too_few,
+    too_few_scenes,
 )
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.reporter import Silent
@@ -47,7 +47,7 @@ REQUEST = Request(
 )
 
 
-def tried(failed: str) -> Tried:
+def tried(failed: str) -> SceneOutcomes:
     """Return outcomes of scenes 0, 1, …: x for a valid failure, a second each."""
     return {f"s{k}": EpisodeOutcome(letter == "x", 1.0) for k, letter in enumerate(failed)}
 
@@ -118,14 +118,20 @@ def test_the_least_number_of_scenes_by_hand(planted: int, least: int) -> None:
 
 def test_too_few_scenes_are_told_with_the_number_that_would_do() -> None:
     """Of three scenes the p of two defects is 2 / 2³, of one 1 / 2³; none planted, none to detect."""
-    assert too_few(3, "av:AV", 2).startswith(
+    assert too_few_scenes(3, "av:AV", 2).startswith(
         "3 seed scenes are too few to detect any of the 2 defects planted in av:AV,"
     )
-    assert "p = 0.25 after Holm's correction" in too_few(3, "av:AV", 2)
-    assert too_few(3, "av:AV", 2).endswith(" 6 would be enough for that.")
-    assert too_few(1, "av:AV", 1).startswith("1 seed scene is too few to detect the defect planted in av:AV,")
-    assert (too_few(6, "av:AV", 2), too_few(5, "av:AV", 1), too_few(1, "careful", 0)) == ("", "", "")
-    assert too_few(5, "av:AV", 2)
+    assert "p = 0.25 after Holm's correction" in too_few_scenes(3, "av:AV", 2)
+    assert too_few_scenes(3, "av:AV", 2).endswith(" 6 would be enough for that.")
+    assert too_few_scenes(1, "av:AV", 1).startswith(
+        "1 seed scene is too few to detect the defect planted in av:AV,"
+    )
+    assert (
+        too_few_scenes(6, "av:AV", 2),
+        too_few_scenes(5, "av:AV", 1),
+        too_few_scenes(1, "careful", 0),
+    ) == ("", "", "")
+    assert too_few_scenes(5, "av:AV", 2)
 
 
 # --- the bench --------------------------------------------------------------------------------------------
@@ -221,18 +227,18 @@ def test_who_never_finished_has_no_rate_to_be_ranked_by(tmp_path: Path) -> None:
 
 def test_what_is_planted_in_whom() -> None:
     everything = replace_request(defects=())
-    assert len(planted_in("lane_graph", everything)) >= 12
-    assert {one.name.partition(":")[2] for one in planted_in("lane_graph", everything)} == {"strong"}
-    assert {one.kind.name for one in planted_in("IDM", everything)} >= {"late", "headway", "weak-brakes"}
-    assert all(one.kind.sumo is not None for one in planted_in("IDM", everything))
+    assert len(planted_defects("lane_graph", everything)) >= 12
+    assert {one.name.partition(":")[2] for one in planted_defects("lane_graph", everything)} == {"strong"}
+    assert {one.kind.name for one in planted_defects("IDM", everything)} >= {"late", "headway", "weak-brakes"}
+    assert all(one.kind.sumo is not None for one in planted_defects("IDM", everything))
     weak = replace_request(defects=("late", "range:9"), severity="weak")
-    assert [one.name for one in planted_in("lane_graph", weak)] == ["late:weak", "range:9"]
+    assert [one.name for one in planted_defects("lane_graph", weak)] == ["late:weak", "range:9"]
     with pytest.raises(ConfigError, match="defect 'tunnel' has no form for target 'IDM'"):
-        planted_in("IDM", replace_request(defects=("tunnel",)))
+        planted_defects("IDM", replace_request(defects=("tunnel",)))
     with pytest.raises(UnknownNameError, match="did you mean 'tunnel'"):
-        planted_in("lane_graph", replace_request(defects=("tunel",)))
+        planted_defects("lane_graph", replace_request(defects=("tunel",)))
     with pytest.raises(ConfigError, match="given twice"):
-        planted_in("lane_graph", replace_request(defects=("late", "late:weak")))
+        planted_defects("lane_graph", replace_request(defects=("late", "late:weak")))
 
 
 def replace_request(**given: object) -> Request:

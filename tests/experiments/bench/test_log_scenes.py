@@ -10,7 +10,7 @@ from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial
 from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes, is_log
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
-from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, licensed
+from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, with_licence
 from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.reporter import Silent
@@ -106,7 +106,7 @@ def test_without_a_licence_the_papers_tables_are_reckless_and_defects_meet_the_d
     tmp_path: Path,
 ) -> None:
     plain = Request(bench="adversarial", scenes="3")
-    assert licensed(POLICY_ROWS["diffusion"].options, plain) == {"licence": "reckless"}
+    assert with_licence(POLICY_ROWS["diffusion"].options, plain) == {"licence": "reckless"}
     request = Request(bench="defects", scenes="3", policies=("advsim",), defects=("late",))
     cells = plan_defects(Folder(tmp_path, request), Silent()).cells
     assert {str(cell.background_options) for cell in cells} == {"{}"}

@@ -151,5 +151,8 @@ def test_what_was_asked_before_there_were_nets_keeps_its_digest(tmp_path: Path) 
     known = Folder(tmp_path, request()).request.model_dump(mode="json")
     assert known.pop("nets") == []
     assert known.pop("options") == {}
-    assert Folder(tmp_path, request()).asked == digest(known)
-    assert Folder(tmp_path, request("motorway")).asked != Folder(tmp_path, request("downtown")).asked
+    assert Folder(tmp_path, request()).request_digest == digest(known)
+    assert (
+        Folder(tmp_path, request("motorway")).request_digest
+        != Folder(tmp_path, request("downtown")).request_digest
+    )

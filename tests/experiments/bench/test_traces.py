@@ -116,7 +116,7 @@ def test_who_hits_another_one_and_leaves_the_road_counts_once(tmp_path: Path) ->
     tables = episode_tables(
         record, episode_row(record, road), collision_rows(record, road), Timing(1.0, (), ())
     )
-    trace = BackgroundTrace.from_bytes(_trace(StoredEpisode(tables, None), road, judged=False))
+    trace = BackgroundTrace.from_bytes(_trace(StoredEpisode(tables, None), road, with_likelihood=False))
     assert (trace.vehicles, trace.hit, trace.off_road, trace.both) == (3, 2, 1, 1)
     rate = estimate(_samples("IDM", [seen("a", False, trace)])["IDM:bv_rate"])
     assert (rate.value, rate.n) == (pytest.approx(2 / 3), 3)

@@ -1,1 +1,1 @@
-"""What people look at after a run: the report page, pictures and films of episodes."""
+"""Presents the results of a run: the report page, pictures and films of episodes."""

@@ -1,11 +1,11 @@
-"""Episodes in which nobody could do what the background was asked for, in words."""
+"""Describes in words the episodes in which no vehicle was in a position to attack, or plans were impossible."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_DOES: Mapping[str, str] = {
+_ACTIONS: Mapping[str, str] = {
     "any": "attack",
     "cut-in": "cut in",
     "cut-out": "cut out",
@@ -26,30 +26,33 @@ _DOES: Mapping[str, str] = {
 
 
 def out_of_position(row: Mapping[str, Any]) -> str | None:
-    """Return what nobody was in a position to do in the episode of *row*; None where somebody was, or none attacks."""
+    """Return the attack for which no vehicle was in position in the episode of *row*; else, or without attack, None."""
     if row.get("attack_kind") is None or row.get("in_position") is not False:
         return None
-    return _DOES.get(str(row["attack_kind"]), f"attack as '{row['attack_kind']}'")
+    return _ACTIONS.get(str(row["attack_kind"]), f"attack as '{row['attack_kind']}'")
 
 
 def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return (what, in how many episodes) for each kind of attack that lacked somebody in position in some *rows*."""
+    """Return (text, number of episodes) for each kind of attack for which some *rows* had no vehicle in position."""
     lines = []
     for kind in dict.fromkeys(row.get("attack_kind") for row in rows):
-        asked = [row for row in rows if row.get("attack_kind") == kind]
-        lacking = [words for row in asked if (words := out_of_position(row)) is not None]
-        if lacking:
+        with_kind = [row for row in rows if row.get("attack_kind") == kind]
+        missing_actions = [action for row in with_kind if (action := out_of_position(row)) is not None]
+        if missing_actions:
             lines.append(
-                (f"no one was in a position to {lacking[0]}", f"in {len(lacking)} of {len(asked)} episodes")
+                (
+                    f"no one was in a position to {missing[0]}",
+                    f"in {len(missing)} of {len(with_kind)} episodes",
+                )
             )
     return lines
 
 
 def plan_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return (what, in how many episodes) where targets planned what no vehicle can do in some *rows*."""
-    known = [row for row in rows if row.get("implausible_plans") is not None]
-    some = [row for row in known if row["implausible_plans"]]
-    if not some:
+    """Return (text, number of episodes) if in some *rows* the target made plans that no vehicle can drive."""
+    checked = [row for row in rows if row.get("implausible_plans") is not None]
+    implausible = [row for row in checked if row["implausible_plans"]]
+    if not implausible:
         return []
-    what = f"plans that no vehicle can drive ({some[0]['implausible_plan']}; see check-planner)"
-    return [(what, f"in {len(some)} of {len(known)} episodes")]
+    label = f"plans that no vehicle can drive ({implausible[0]['implausible_plan']}; see check-planner)"
+    return [(label, f"in {len(implausible)} of {len(checked)} episodes")]

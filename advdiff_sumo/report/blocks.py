@@ -1,4 +1,4 @@
-"""What the page's player gets: a block for each episode and one for the streets of each net."""
+"""Makes the data of the page's player: a block for each episode, and one for the streets of each net."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.plans import Planned, packed_plans
 from advdiff_sumo.report.series import Series
 
-#: Streets are cut into squares, of which the player draws those in view.
+#: Streets are cut into squares of this size, of which the player draws those in view.
 CELL_M = 250.0
-#: Streets are kept so far around the targets' paths.
+#: Streets within this distance of the targets' paths are included.
 AROUND_M = 120.0
-_DEVIATION_M = 0.5
-_CHARTED = (
+_DEVIATION_M = 0.5  # from the natural path, above which both are shown
+_CHART_SERIES = (
     *("speed_mps", "attacker_mps", "reference_mps"),
     *("accel_mps2", "attacker_accel_mps2", "reference_accel_mps2"),
     *("jerk_mps3", "ttc_s", "gap_m"),
@@ -39,11 +39,11 @@ def episode_block(
 
     Args:
         states: of the episode.
-        attacker: id of the target's collision partner, or of who came nearest, or None.
+        attacker: id of the target's collision partner, else of the nearest vehicle, or None.
         series: values of the charts.
-        natural: what happened in the same seed scene without attack, or None.
-        plans: what was planned, as far as it is known.
-        reference: what the careful driver would have done from its takeover on, or None.
+        natural: tracks of the same seed scene without attack, or None.
+        plans: of the vehicles, as far as they are known.
+        reference: track of the careful driver from its takeover on, or None.
     """
     tracks = states.tracks
     origin = np.rint(np.nanmin(tracks.xy_m.reshape(-1, 2), axis=0))
@@ -59,68 +59,69 @@ def episode_block(
         "target": states.target,
         "attacker": -1 if attacker is None else tracks.index.get(attacker, -1),
         "agents": agents,
-        "series": list(_CHARTED),
+        "series": list(_CHART_SERIES),
         "natural": None,
         "reference": None,
         "plans": None,
     }
     if natural is not None and natural.agents:
-        ghosts, more = _paths(natural, origin)
+        ghosts, extra_numbers = _paths(natural, origin)
         header["natural"] = {"dt": natural.dt_s, "t0": natural.t0_s, "agents": ghosts}
-        numbers += more
+        numbers += extra_numbers
     if reference is not None:
-        ghosts, more = _paths(reference, origin)
+        ghosts, extra_numbers = _paths(reference, origin)
         header["reference"] = {"dt": reference.dt_s, "t0": reference.t0_s, "agents": ghosts}
-        numbers += more
-    header["plans"], more = packed_plans(plans, tracks.index, origin)
-    numbers += more
-    numbers += [wrapped_differences(getattr(series, name)) for name in _CHARTED]
+        numbers += extra_numbers
+    header["plans"], extra_numbers = packed_plans(plans, tracks.index, origin)
+    numbers += extra_numbers
+    numbers += [wrapped_differences(getattr(series, name)) for name in _CHART_SERIES]
     return block(header, numbers)
 
 
 def _paths(tracks: Tracks, origin: FloatArray) -> tuple[list[dict[str, Any]], list[IntArray]]:
+    """Return the headers of the agents' paths and their numbers."""
     agents: list[dict[str, Any]] = []
     numbers: list[IntArray] = []
     for row, name in enumerate(tracks.ids):
         parts = []
-        for start, own in path_parts(tracks.xy_m[row], tracks.yaw_rad[row], origin):
+        for start, part_numbers in path_parts(tracks.xy_m[row], tracks.yaw_rad[row], origin):
             parts.append(start)
-            numbers += own
+            numbers += part_numbers
         agents.append({"id": name, "p": parts})
     return agents, numbers
 
 
-def departed(states: EpisodeStates, natural: Tracks) -> Tracks:
-    """Return those of *natural* whose path is another than in the episode, and the target.
+def deviating_tracks(states: EpisodeStates, natural: Tracks) -> Tracks:
+    """Return the target and all agents of *natural* whose paths differ from those in the episode.
 
-    Cut to the episode's duration and one instant more where it ends between two.
+    The tracks are cut to the episode's duration, up to the first instant at or after its end.
     """
-    driven = states.tracks
-    end = driven.times_s[-1]
-    within = np.flatnonzero((natural.times_s >= -1e-6) & (natural.times_s < end + natural.dt_s - 1e-6))
-    if not len(within):
+    tracks = states.tracks
+    end_s = tracks.times_s[-1]
+    steps = np.flatnonzero((natural.times_s >= -1e-6) & (natural.times_s < end_s + natural.dt_s - 1e-6))
+    if not len(steps):
         return Tracks.empty()
-    cut = natural.window(int(within[0]), int(within[-1]) + 1)
-    kept = [row for row, name in enumerate(cut.ids) if _differs(driven, cut, row, name, states.target)]
-    return cut.rows(np.array(kept, dtype=np.int64))
+    cut = natural.window(int(steps[0]), int(steps[-1]) + 1)
+    rows = [row for row, name in enumerate(cut.ids) if _differs(tracks, cut, row, name, states.target)]
+    return cut.rows(np.array(rows, dtype=np.int64))
 
 
 def _differs(driven: Tracks, natural: Tracks, row: int, name: str, target: int) -> bool:
-    own = driven.index.get(name)
-    if own is None or own == target:
-        return own is not None
+    own_row = driven.index.get(name)
+    if own_row is None or own_row == target:
+        return own_row is not None
     steps = np.clip(np.rint(natural.times_s / driven.dt_s).astype(np.int64), 0, driven.steps - 1)
-    apart = np.linalg.norm(driven.xy_m[own, steps] - natural.xy_m[row], axis=-1)
-    apart = apart[natural.times_s <= driven.times_s[-1] + 1e-6]
-    return bool((apart > _DEVIATION_M).any())  # NaN compares as False
+    distance_m = np.linalg.norm(driven.xy_m[own_row, steps] - natural.xy_m[row], axis=-1)
+    distance_m = distance_m[natural.times_s <= driven.times_s[-1] + 1e-6]
+    return bool((distance_m > _DEVIATION_M).any())  # NaN compares as False
 
 
 def streets_block(layer: MapLayer, paths_m: Iterable[FloatArray]) -> str:
-    """Return the streets around *paths_m*, each (T, 2) and possibly with NaN, as one block."""
+    """Return the streets around *paths_m*, each (T, 2), NaN allowed, as one block."""
     cells: list[Mapping[str, Any]] = []
     numbers: list[IntArray] = []
-    for column, line in sorted(_cells(paths_m)):
-        corner = np.array([column, line]) * CELL_M
+    for column, row in sorted(_grid_cells(paths_m)):
+        corner = np.array([column, row]) * CELL_M
         view = NetWindow(*corner.tolist(), *(corner + CELL_M).tolist())
         streets = layer.streets(view, tolerance_m=0.08)
         groups = (streets.areas, streets.solid, streets.dashed)
@@ -130,18 +131,18 @@ def streets_block(layer: MapLayer, paths_m: Iterable[FloatArray]) -> str:
     return block({"size": CELL_M, "cells": cells}, numbers)
 
 
-def _cells(paths_m: Iterable[FloatArray]) -> set[tuple[int, int]]:
-    """Return the (column, line) of all squares within ``AROUND_M`` of a path."""
+def _grid_cells(paths_m: Iterable[FloatArray]) -> set[tuple[int, int]]:
+    """Return the (column, row) of all squares within ``AROUND_M`` of a path."""
     cells: set[tuple[int, int]] = set()
     reach = np.array([[i, j] for i in (-AROUND_M, 0.0, AROUND_M) for j in (-AROUND_M, 0.0, AROUND_M)])
     for path in paths_m:
         points = path[np.isfinite(path).all(axis=1)]
-        places = np.floor((points[:, None] + reach) / CELL_M).astype(np.int64).reshape(-1, 2)
-        cells |= {(int(a), int(b)) for a, b in np.unique(places, axis=0)}
+        cell_indices = np.floor((points[:, None] + reach) / CELL_M).astype(np.int64).reshape(-1, 2)
+        cells |= {(int(a), int(b)) for a, b in np.unique(cell_indices, axis=0)}
     return cells
 
 
 def _polyline(points: FloatArray, corner: FloatArray) -> IntArray:
-    """Return x and y of the first point and of each step after it, in cm, alternating."""
-    places = np.rint((points - corner) * PER_M).astype(np.int64)
-    return np.diff(places, axis=0, prepend=np.zeros((1, 2), dtype=np.int64)).reshape(-1)
+    """Return x and y of the first point and of each step between points, in cm, alternating."""
+    positions_cm = np.rint((points - corner) * PER_M).astype(np.int64)
+    return np.diff(positions_cm, axis=0, prepend=np.zeros((1, 2), dtype=np.int64)).reshape(-1)

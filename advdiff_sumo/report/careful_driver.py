@@ -1,4 +1,4 @@
-"""What the careful and competent driver would have done in the target's place, for player and charts."""
+"""Computes the motion of the careful driver in the target's place, for player and charts."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ NAME = "careful driver"
 
 
 def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -> ReferenceDrive | None:
-    """Return the drive from its takeover on; None where there is no verdict, or no collision or critical near miss.
+    """Return the careful driver's motion from its takeover on.
+
+    None without a collision that has a verdict and without a critical near miss.
 
     Args:
-        run: for what the traffic lights showed.
+        run: for the states of the traffic lights.
         row: of the episode.
         states: of the episode.
         road: its map.
@@ -30,16 +32,16 @@ def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -
         return None
     record = record_of_states(states, row, run.signals(int(row["episode"])))
     if not row["critical"]:
-        hit = target_collision(record, collisions(record))
-        return None if hit is None else drive_reference(record, road, hit)
-    missed = near_miss(record, road)
-    return None if missed is None else careful_drive(record, road, missed)
+        contact = target_collision(record, collisions(record))
+        return None if contact is None else drive_reference(record, road, contact)
+    critical_moment = near_miss(record, road)
+    return None if critical_moment is None else careful_drive(record, road, critical_moment)
 
 
 def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:
-    """Return the drive as tracks of one agent, cut to the episode."""
-    driven = states.tracks
-    count = min(len(drive.states.speed_mps), driven.steps - drive.takeover_step)
-    target = replace(driven.rows([states.target]), ids=(NAME,))
-    shown = drive.states.mapped(lambda part: part[None, :count])
-    return target.driving(shown, drive.takeover_step * driven.dt_s, driven.dt_s)
+    """Return *drive* as tracks of one agent, cut to the episode's duration."""
+    tracks = states.tracks
+    count = min(len(drive.states.speed_mps), tracks.steps - drive.takeover_step)
+    target = replace(tracks.rows([states.target]), ids=(NAME,))
+    shown_states = drive.states.mapped(lambda part: part[None, :count])
+    return target.driving(shown_states, drive.takeover_step * tracks.dt_s, tracks.dt_s)

@@ -1,4 +1,4 @@
-"""Small charts over time as SVG path data."""
+"""Makes small charts over time as SVG path data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TTC_TOP_S = 10.0
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a chart: whose it is ("target", "attacker", "reference") and its path."""
+    """One line of a chart: its vehicle ("target", "attacker", "reference") and its path."""
 
     role: str
     path: str
@@ -29,10 +29,10 @@ class Chart:
     """One chart; positions in its own pixels of ``WIDTH`` × ``HEIGHT``.
 
     Attributes:
-        title: what, with the unit.
-        summary: what it shows, in words, for those who cannot see it.
-        curves: lines; empty when there is nothing to show.
-        x_ticks: (position, text) along the time.
+        title: quantity and unit.
+        summary: description in words, for readers who cannot see the chart.
+        curves: lines; empty if there is nothing to show.
+        x_ticks: (position, text) on the time axis.
         y_ticks: (position, text).
         contact_x: position of the contact, or None.
         plot: left, top, right and bottom of the plotting area.
@@ -50,7 +50,7 @@ class Chart:
 def charts_of(series: Series, contact_s: float | None) -> tuple[Chart, ...]:
     """Return the charts of one episode: speed, acceleration, jerk, nearest gap, time to collision.
 
-    None where it has one instant only: nothing goes on over time.
+    An episode of fewer than two instants has none.
     """
     if len(series.times_s) < 2:
         return ()
@@ -78,23 +78,23 @@ def chart(
     """Return one chart.
 
     Args:
-        title: what.
+        title: name of the quantity.
         unit: of the values.
         times_s: (T,) instants, T ≥ 1.
         curves: role → (T,) values; NaN leaves a gap.
-        contact_s: when to draw the line of the contact.
-        least: range of values that is shown in any case.
+        contact_s: time of the contact, which is marked by a line, or None.
+        least: range of values that is always shown.
     """
     drawn = {role: values for role, values in curves.items() if np.isfinite(values).any()}
-    stacked = np.concatenate([*drawn.values(), np.array(least)])
-    low, high = float(np.nanmin(stacked)), float(np.nanmax(stacked))
+    all_values = np.concatenate([*drawn.values(), np.array(least)])
+    low, high = float(np.nanmin(all_values)), float(np.nanmax(all_values))
     y_ticks = MaxNLocator(4).tick_values(low, high)
     bottom, top = min(low, float(y_ticks[0])), max(high, float(y_ticks[-1]))
-    end = max(float(times_s[-1]), float(times_s[0]) + 1e-3)
-    x_ticks = [t for t in MaxNLocator(6).tick_values(float(times_s[0]), end) if times_s[0] <= t <= end]
+    end_s = max(float(times_s[-1]), float(times_s[0]) + 1e-3)
+    x_ticks = [t for t in MaxNLocator(6).tick_values(float(times_s[0]), end_s) if times_s[0] <= t <= end_s]
 
     def x_of(t: FloatArray | float) -> FloatArray:
-        share = (np.asarray(t, dtype=np.float64) - times_s[0]) / (end - times_s[0])
+        share = (np.asarray(t, dtype=np.float64) - times_s[0]) / (end_s - times_s[0])
         return np.asarray(_LEFT + share * (WIDTH - _LEFT - _RIGHT))
 
     def y_of(value: FloatArray | float) -> FloatArray:

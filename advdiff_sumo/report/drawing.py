@@ -28,7 +28,9 @@ _DPI = 130
 
 
 def figure(folder: Path, episode: int | None, path: Path) -> Path:
-    """Draw an episode of the run in *folder* to *path* (.svg or .png) and return *path*; same run, same bytes.
+    """Draw an episode of the run in *folder* to *path* (.svg or .png) and return *path*.
+
+    The same run gives the same bytes.
 
     Args:
         folder: of a finished run or sweep.
@@ -57,12 +59,12 @@ def check_ending(path: Path, endings: tuple[str, ...]) -> str:
 
 
 def unwritable(path: Path, error: OSError) -> FileError:
-    """Return the error that says that *path* cannot be written."""
+    """Return the error for a *path* that cannot be written."""
     return FileError(path, f"cannot be written ({os_reason(error)})", "choose another place")
 
 
 def frame_axes(axes: Axes, view: NetWindow) -> None:
-    """Make *axes* show *view*, north up, without ticks."""
+    """Set *axes* to *view*, north up, without ticks."""
     axes.set(xlim=(view.x0_m, view.x1_m), ylim=(view.y0_m, view.y1_m), aspect="equal", xticks=[], yticks=[])
 
 
@@ -77,9 +79,9 @@ def draw(picture: Picture) -> Figure:
     points_per_m = 72.0 * _WIDTH_IN / view.width_m
     if picture.streets is not None:
         draw_streets(axes, picture.streets, points_per_m)
-    _traffic(axes, picture)
-    _impact(axes, picture)
-    _legend(axes, picture)
+    _draw_traffic(axes, picture)
+    _draw_impacts(axes, picture)
+    _draw_legend(axes, picture)
     return drawn
 
 
@@ -98,11 +100,11 @@ def draw_streets(axes: Axes, streets: VisibleStreets, points_per_m: float) -> No
     )
 
 
-def _traffic(axes: Axes, picture: Picture) -> None:
+def _draw_traffic(axes: Axes, picture: Picture) -> None:
     for order, trail in enumerate(picture.trails):
-        faint = 0.5 if trail.role is Role.OTHER else 0.85
+        opacity = 0.5 if trail.role is Role.OTHER else 0.85
         axes.plot(
-            *trail.xy_m.T, color=COLOURS[trail.role], linewidth=1.4, alpha=faint, zorder=3 + order * 1e-3
+            *trail.xy_m.T, color=COLOURS[trail.role], linewidth=1.4, alpha=opacity, zorder=3 + order * 1e-3
         )
     for box in picture.boxes:
         colour, past = COLOURS[box.role], box.age > 0.0
@@ -113,10 +115,10 @@ def _traffic(axes: Axes, picture: Picture) -> None:
         nose = np.stack((box.centre_m, box.corners_m[:2].mean(axis=0)))
         axes.plot(*nose.T, color=edge, linewidth=0.9, zorder=4)
         if box.label:
-            _time(axes, picture, box)
+            _draw_time(axes, picture, box)
 
 
-def _time(axes: Axes, picture: Picture, box: Box) -> None:
+def _draw_time(axes: Axes, picture: Picture, box: Box) -> None:
     x, y = box.centre_m + (0.5 + 0.017 * picture.view.width_m) * box.label_side
     halo = [withStroke(linewidth=2.5, foreground=GROUND)]
     axes.text(
@@ -133,14 +135,14 @@ def _time(axes: Axes, picture: Picture, box: Box) -> None:
     )
 
 
-def _impact(axes: Axes, picture: Picture) -> None:
+def _draw_impacts(axes: Axes, picture: Picture) -> None:
     for point in picture.other_impacts_m:
         axes.plot(*point, marker="x", color=IMPACT, markersize=6, markeredgewidth=1.2, zorder=7)
     if picture.impact_m is not None:
         axes.plot(*picture.impact_m, marker="x", color=IMPACT, markersize=12, markeredgewidth=3.0, zorder=8)
 
 
-def _legend(axes: Axes, picture: Picture) -> None:
+def _draw_legend(axes: Axes, picture: Picture) -> None:
     attacker = "collision partner" if picture.partner else "nearest vehicle"
     names = {Role.TARGET: "target, a box a second", Role.ATTACKER: attacker, Role.OTHER: "other traffic"}
     roles = [role for role in names if any(trail.role is role for trail in picture.trails)]

@@ -22,7 +22,7 @@ Row: TypeAlias = Mapping[str, Any]
 
 _OPTION_TABLES = ("target_options", "background_options")
 
-#: What a sweep's episodes have beside a run's; a run's get the values of its options.
+#: Columns that only a sweep's episodes have; in a run they get the values of its options.
 JOB_COLUMNS = (
     *("key", "scene_key", "net", "target", "target_options"),
     *("background", "background_options", "attack", "root_seed"),
@@ -32,15 +32,15 @@ JOB_COLUMNS = (
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What the folder of a run or sweep holds, without the states, which are read an episode at a time.
+    """The content of the folder of a run or sweep, without the states, which are read for one episode at a time.
 
     Attributes:
         folder: the folder.
         settings: content of ``run.toml`` or ``sweep.toml``.
-        is_sweep: which of the two.
+        is_sweep: whether it is a sweep.
         episodes: rows of ``episodes.parquet`` by episode, with ``JOB_COLUMNS``.
         collisions: rows of ``collisions.parquet``.
-        is_part: whether these are not all of them, as one episode was picked.
+        is_part: whether it is restricted to one episode.
     """
 
     folder: Path
@@ -55,15 +55,16 @@ class FinishedRun:
         """Read the folder of a finished or interrupted run or sweep.
 
         Raises:
-            FileError: a file of it is missing, damaged or of another version.
+            FileError: one of its files is missing, damaged or of another version.
         """
         tables = RunTables(folder)
         settings = tables.settings()
-        episodes = _rows(tables, "episodes", EPISODE_COLUMNS, JOB_COLUMNS)
-        collisions = _rows(tables, "collisions", COLLISION_COLUMNS)
+        episodes = _table_rows(tables, "episodes", EPISODE_COLUMNS, JOB_COLUMNS)
+        collisions = _table_rows(tables, "collisions", COLLISION_COLUMNS)
         tables.columns("states", STATE_COLUMNS)
         options = _options(settings)
-        rows = [_with_job(row, options) for row in sorted(episodes, key=lambda row: int(row["episode"]))]
+        episodes.sort(key=lambda row: int(row["episode"]))
+        rows = [_with_job_columns(row, options) for row in episodes]
         return FinishedRun(folder, settings, tables.is_sweep, tuple(rows), tuple(collisions))
 
     @property
@@ -72,31 +73,31 @@ class FinishedRun:
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """The options of the run or the content of the sweep's file; empty when there are none."""
+        """The options of the run or sweep; empty if there are none."""
         return _options(self.settings)
 
     @property
     def planned(self) -> int | None:
-        """How many episodes a run was to have; None where that is not known, of a part, and of one run again."""
+        """Number of episodes asked for; None for a sweep, a single or repeated episode, or if it is unknown."""
         planned = self.options.get("episodes")
-        alone = self.is_part or self.repeated is not None
-        known = isinstance(planned, int) and not self.is_sweep and not alone
-        return planned if known else None
+        is_single_episode = self.is_part or self.repeated is not None
+        is_known = isinstance(planned, int) and not self.is_sweep and not is_single_episode
+        return planned if is_known else None
 
     @property
     def repeated(self) -> int | None:
-        """The episode that this folder is the repetition of; None for a run or sweep."""
+        """Number of the episode that this folder repeats; None for a run or sweep."""
         number = self.settings.get("run", {}).get("repeats")
         return number if isinstance(number, int) else None
 
     @property
     def interrupted(self) -> bool:
-        """Whether a run was left before its end: its episodes are still files of their own, too."""
+        """Whether a run was interrupted: the files of its single episodes still exist."""
         return not self.is_sweep and (self.folder / RUN_PARTS).is_dir()
 
     @cached_property
     def log_tails(self) -> Mapping[int, str]:
-        """What was said last in each failed episode, or where the planner raised, by episode."""
+        """Episode → last lines of its log if it failed, or where the planner raised an error."""
         if not self._tables.path("failures").exists():
             return {}
         rows = self._tables.rows("failures", ("episode", "log_tail")).to_pylist()
@@ -104,11 +105,11 @@ class FinishedRun:
 
     @cached_property
     def unstarted(self) -> int:
-        """How many episodes failed before they had a row; of a part none."""
+        """Number of episodes that failed before they had a row; 0 for a single episode."""
         return 0 if self.is_part else len(self._tables.unstarted(self.episodes))
 
     def only(self, episode: int) -> FinishedRun:
-        """Return the part of the run that is *episode*.
+        """Return the run restricted to *episode*.
 
         Raises:
             FileError: there is no such episode.
@@ -130,11 +131,11 @@ class FinishedRun:
         raise FileError(self.folder, f"has no episode {episode}", has)
 
     def collisions_of(self, episode: int) -> tuple[Row, ...]:
-        """Return the collisions of *episode* in the order of time."""
+        """Return the collisions of *episode* in order of time."""
         return tuple(row for row in self.collisions if row["episode"] == episode)
 
     def states(self, episode: int) -> EpisodeStates | None:
-        """Return the states of *episode*; None when it failed before its first instant.
+        """Return the states of *episode*; None if it failed before its first instant.
 
         Raises:
             FileError: the states are damaged.
@@ -142,7 +143,7 @@ class FinishedRun:
         return self._states("states", self._tables.columns("states"), episode)
 
     def natural(self, episode: int) -> EpisodeStates | None:
-        """Return what happens in the seed scene of *episode* without attack; None where it was not kept.
+        """Return the states in the seed scene of *episode* without attack; None if they were not recorded.
 
         Raises:
             FileError: the table is damaged.
@@ -152,7 +153,7 @@ class FinishedRun:
         return self._states("unattacked", self._tables.columns("unattacked", STATE_COLUMNS), episode)
 
     def signals(self, episode: int) -> pa.Table | None:
-        """Return what the traffic lights of *episode* showed; None where the folder was made without.
+        """Return the states of the traffic lights in *episode*; None if the folder has no such table.
 
         Raises:
             FileError: the table is damaged.
@@ -166,7 +167,7 @@ class FinishedRun:
         return states_of(self._tables.rows(table, columns, episode))
 
     def plans(self, episode: int) -> tuple[Planned, ...]:
-        """Return what was planned in *episode*; nothing where the folder was made without plans.
+        """Return the plans of *episode*; none if the folder has no such table.
 
         Raises:
             FileError: the plans are damaged.
@@ -177,12 +178,12 @@ class FinishedRun:
         return plans_of(self._tables.rows("plans", PLAN_COLUMNS, episode))
 
     def logs(self) -> Iterator[tuple[str, str]]:
-        """Yield (net, root of the driving log) of all places whose seed scenes came from a log."""
+        """Yield (net, root of the driving log) of all nets whose seed scenes came from a log."""
         options = self.options
         grid = options.get("grid") or {}
-        for place in (options, *grid.get("nets", ()), *options.get("cases", ())):
-            if isinstance(place, Mapping) and place.get("scenes"):
-                yield str(place.get("net", "")), str(place["scenes"])
+        for entry in (options, *grid.get("nets", ()), *options.get("cases", ())):
+            if isinstance(entry, Mapping) and entry.get("scenes"):
+                yield str(entry.get("net", "")), str(entry["scenes"])
 
 
 def _options(settings: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -190,24 +191,24 @@ def _options(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return options if isinstance(options, Mapping) else {}
 
 
-def _with_job(row: Row, options: Mapping[str, Any]) -> Row:
-    """Return *row* with the run's options where it lacks the columns of a sweep."""
+def _with_job_columns(row: Row, options: Mapping[str, Any]) -> Row:
+    """Return *row*, with the run's options if it lacks the columns of a sweep."""
     if "target" in row:
         return row
-    own = {name: str(options.get(name, "?")) for name in ("net", "target", "background")}
-    own |= {name: json.dumps(options.get(name) or {}, default=str) for name in _OPTION_TABLES}
-    rest = {"attack": own["background"], "key": "", "scene_key": "", "root_seed": options.get("seed")}
-    return {**row, **own, **rest}
+    job_columns = {name: str(options.get(name, "?")) for name in ("net", "target", "background")}
+    job_columns |= {name: json.dumps(options.get(name) or {}, default=str) for name in _OPTION_TABLES}
+    keys = {"key": "", "scene_key": "", "root_seed": options.get("seed")}
+    return {**row, **job_columns, "attack": job_columns["background"], **keys}
 
 
-def _rows(
-    tables: RunTables, name: str, columns: Mapping[str, Column], welcome: Iterable[str] = ()
+def _table_rows(
+    tables: RunTables, name: str, columns: Mapping[str, Column], optional: Iterable[str] = ()
 ) -> list[dict[str, Any]]:
-    """Return *columns* of a table, and those of *welcome* that it has.
+    """Return *columns* of a table and those of *optional* that it has.
 
-    What older versions did not write yet is empty.
+    Columns that older versions did not write are empty.
     """
     present = tables.columns(name, [column for column in columns if column not in LATER_COLUMNS])
-    wanted = [column for column in (*columns, *welcome) if column in present]
-    rows: list[dict[str, Any]] = upgraded(tables.rows(name, wanted), columns).to_pylist()
+    read_columns = [column for column in (*columns, *optional) if column in present]
+    rows: list[dict[str, Any]] = upgraded(tables.rows(name, read_columns), columns).to_pylist()
     return rows

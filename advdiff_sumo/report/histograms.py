@@ -1,4 +1,4 @@
-"""Histograms of traffic with and without attack, as SVG path data."""
+"""Makes histograms of traffic with and without attack, as SVG path data."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from advdiff_sumo.report.templates import number
 
 WIDTH, HEIGHT = 340, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 10, 8, 22
-#: Distributions that one picture can hold legibly.
+#: Distributions in one picture at most, so that it stays legible.
 MOST_GROUPS = 6
 _BINS = 30
-_SHOWN = {
+_QUANTITIES = {
     "speed_mps": ("Speed of background vehicles", "m/s", 0.0, 40.0),
     "accel_mps2": ("Acceleration of background vehicles", "m/s²", -6.0, 6.0),
     "ttc_s": ("Time to collision of the target", "s", 0.0, 10.0),
@@ -26,7 +26,7 @@ _SHOWN = {
 
 @dataclass(frozen=True)
 class Outline:
-    """One distribution: which group it is of, its path, and what it comes to in words."""
+    """One distribution: number and label of its group, its path, and a summary in words."""
 
     group: int
     label: str
@@ -39,7 +39,7 @@ class Histogram:
     """One picture of ``WIDTH`` × ``HEIGHT`` pixels.
 
     Attributes:
-        title: what, with the unit.
+        title: quantity and unit.
         outlines: the distributions, natural traffic first.
         x_ticks: (position, text).
         y_ticks: (position, text).
@@ -57,12 +57,13 @@ def histograms(groups: Mapping[str, Samples]) -> tuple[Histogram, ...]:
     """Return histograms of speed, acceleration and time to collision of the first ``MOST_GROUPS`` *groups*."""
     first = dict(list(groups.items())[:MOST_GROUPS])
     return tuple(
-        _histogram({label: getattr(s, key) for label, s in first.items()}, *_SHOWN[key]) for key in _SHOWN
+        _histogram({label: getattr(s, key) for label, s in first.items()}, *_QUANTITIES[key])
+        for key in _QUANTITIES
     )
 
 
 def _histogram(values: Mapping[str, FloatArray], title: str, unit: str, low: float, high: float) -> Histogram:
-    """Return one histogram; values beyond *low* and *high* count in the outermost bins."""
+    """Return one histogram; values below *low* or above *high* count in the outermost bins."""
     edges = np.linspace(low, high, _BINS + 1)
     shares = {label: _shares(v, edges) for label, v in values.items() if len(v)}
     ticks = MaxNLocator(4).tick_values(
@@ -83,7 +84,7 @@ def _histogram(values: Mapping[str, FloatArray], title: str, unit: str, low: flo
         return f"M{x_of(low):.1f} {y_of(0.0):.1f}{steps}V{y_of(0.0):.1f}"
 
     outlines = [
-        Outline(k, label, path(shares[label]), _words(label, values[label], unit))
+        Outline(k, label, path(shares[label]), _summary(label, values[label], unit))
         for k, label in enumerate(values)
         if label in shares
     ]
@@ -91,7 +92,9 @@ def _histogram(values: Mapping[str, FloatArray], title: str, unit: str, low: flo
         title=f"{title} ({unit})",
         outlines=tuple(outlines),
         x_ticks=tuple(
-            (f"{x_of(t):.1f}", _plain(t)) for t in MaxNLocator(6).tick_values(low, high) if low <= t <= high
+            (f"{x_of(t):.1f}", _tick_text(t))
+            for t in MaxNLocator(6).tick_values(low, high)
+            if low <= t <= high
         ),
         y_ticks=tuple((f"{y_of(t / 100.0):.1f}", f"{t:g} %") for t in ticks),
     )
@@ -102,10 +105,10 @@ def _shares(values: FloatArray, edges: FloatArray) -> FloatArray:
     return np.asarray(counts / counts.sum())
 
 
-def _words(label: str, values: FloatArray, unit: str) -> str:
-    low, middle, high = np.percentile(values, [5, 50, 95]).tolist()
-    return f"{label}: median {number(middle)} {unit}, 90 % between {number(low)} and {number(high)} {unit}"
+def _summary(label: str, values: FloatArray, unit: str) -> str:
+    low, median, high = np.percentile(values, [5, 50, 95]).tolist()
+    return f"{label}: median {number(median)} {unit}, 90 % between {number(low)} and {number(high)} {unit}"
 
 
-def _plain(value: float) -> str:
+def _tick_text(value: float) -> str:
     return f"{value:g}".replace("-", "−")

@@ -1,4 +1,4 @@
-"""Names of runs, targets and backgrounds: with planted defects and the options in which two of one name differ."""
+"""Labels of runs, targets and backgrounds: names, planted defects, and options that distinguish equal names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from advdiff_sumo.report.folder import FinishedRun, Row
 
-#: Backgrounds that attack, and the values of options with which they do not.
+#: Backgrounds that attack, each with the option values that turn its attacks off.
 _ATTACKING: Mapping[str, Mapping[str, Any]] = {
     "scripted": {},
     "diffusion": {"guide": "none", "strength": 0},
@@ -29,38 +29,39 @@ class Labels:
                 self._variants.setdefault((role, str(row[role])), set()).add(str(row[f"{role}_options"]))
 
     def target(self, row: Row) -> str:
-        """Return the target's name, with its planted defects and those of its options that set it apart."""
+        """Return the target's name, with its planted defects and the options that distinguish it."""
         return self._label("target", row)
 
     def background(self, row: Row) -> str:
-        """Return the background's name, with those of its options that set it apart."""
+        """Return the background's name, with the options that distinguish it."""
         return self._label("background", row)
 
     def _label(self, role: str, row: Row) -> str:
-        name, own = str(row[role]), str(row[f"{role}_options"])
-        options = _options(own)
-        others = [_options(text) for text in self._variants.get((role, name), ())]
-        telling = [
+        name, own_text = str(row[role]), str(row[f"{role}_options"])
+        options = _options(own_text)
+        all_options = [_options(text) for text in self._variants.get((role, name), ())]
+        shown_keys = [
             key
             for key in sorted(options)
-            if (key == "defects" and options[key]) or any(o.get(key) != options[key] for o in others)
+            if (key == "defects" and options[key])
+            or any(other.get(key) != options[key] for other in all_options)
         ]
         differences = ", ".join(
-            _text(options[key]) if key == "defects" else f"{key} {_text(options[key])}" for key in telling
+            _text(options[key]) if key == "defects" else f"{key} {_text(options[key])}" for key in shown_keys
         )
         return f"{name} ({differences})" if differences else name
 
 
 def run_title(labels: Labels, run: FinishedRun) -> str:
-    """Return what a run is about: its target "against" what attacks it, or "in" traffic in which nobody does."""
+    """Return the title of a run: its target "against" an attacking background, or "in" traffic without attackers."""
     targets = sorted({labels.target(row) for row in run.episodes})
     target = targets[0] if targets else run.options.get("target", "target")
     background = str(run.options.get("background", "background"))
-    switches = _ATTACKING.get(background)
-    own = run.options.get("background_options", {})
-    if switches is None:
+    non_attacking = _ATTACKING.get(background)
+    background_options = run.options.get("background_options", {})
+    if non_attacking is None:
         return f"{target} in {_NATURAL.get(background, background)} traffic"
-    if any(own.get(name) == value for name, value in switches.items()):
+    if any(background_options.get(name) == value for name, value in non_attacking.items()):
         return f"{target} in unguided {background} traffic"
     return f"{target} against {background} traffic"
 

@@ -1,4 +1,4 @@
-"""The streets under a picture: drivable area and markings, cut to a view."""
+"""Provides the streets of a picture: drivable area and markings, clipped to a view."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ class NetWindow:
         aspect: float = 1.5,
         most_width_m: float = np.inf,
     ) -> NetWindow:
-        """Return the view that shows all finite points (N, 2), widened to *aspect* (width by height).
+        """Return the view of all finite points (N, 2), enlarged to *aspect* (width / height).
 
-        With *most_width_m* it is at most so wide, around the middle of the points.
+        It is at most *most_width_m* wide; then it is centred on the middle of the points' extent.
         """
         points = xy_m[np.isfinite(xy_m).all(axis=1)]
         points = points if len(points) else np.zeros((1, 2))
         low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
         width = max(high[0] - low[0], aspect * (high[1] - low[1]), least_width_m)
-        half = 0.5 * min(width, most_width_m) * np.array([1.0, 1.0 / aspect])
-        (x0, y0), (x1, y1) = 0.5 * (low + high) - half, 0.5 * (low + high) + half
+        half_size = 0.5 * min(width, most_width_m) * np.array([1.0, 1.0 / aspect])
+        (x0, y0), (x1, y1) = 0.5 * (low + high) - half_size, 0.5 * (low + high) + half_size
         return NetWindow(float(x0), float(y0), float(x1), float(y1))
 
     @property
@@ -67,7 +67,7 @@ class NetWindow:
 
 @dataclass(frozen=True)
 class VisibleStreets:
-    """What of a net lies in a view.
+    """The parts of a net in a view.
 
     Attributes:
         areas: closed rings (K, 2) of the drivable area, holes among them (even-odd rule).
@@ -81,7 +81,7 @@ class VisibleStreets:
 
 
 class MapLayer:
-    """The drawable parts of one net with an index, made once a report."""
+    """The drawable parts of one net with a spatial index; made once per report."""
 
     def __init__(self, road: RoadMap) -> None:
         self.road = road
@@ -101,22 +101,25 @@ class MapLayer:
         )
 
     def streets(self, view: NetWindow, tolerance_m: float = 0.1, markings: bool = True) -> VisibleStreets:
-        """Return what lies in *view*, outlines simplified to within *tolerance_m*."""
-        # clip_by_rect is quicker, but fills in holes
+        """Return the streets in *view*, with outlines simplified to within *tolerance_m*."""
+        # an intersection, as the faster clip_by_rect fills holes
         area = shapely.simplify(self.road.drivable & shapely.box(*view.rectangle), tolerance_m)
         rings = shapely.get_rings(_polygons(area))
         areas = tuple(shapely.get_coordinates(ring) for ring in rings)
         if not markings or not len(self._lines):
             return VisibleStreets(areas)
-        hit = np.sort(self._tree.query(shapely.box(*view.rectangle)))
-        cut = [shapely.simplify(shapely.clip_by_rect(self._lines[i], *view.rectangle), 0.03) for i in hit]
-        solid = [line for i, line in zip(hit, cut, strict=True) if self._is_solid[i]]
-        dashed = [line for i, line in zip(hit, cut, strict=True) if not self._is_solid[i]]
+        line_indices = np.sort(self._tree.query(shapely.box(*view.rectangle)))
+        clipped = [
+            shapely.simplify(shapely.clip_by_rect(self._lines[i], *view.rectangle), 0.03)
+            for i in line_indices
+        ]
+        solid = [line for i, line in zip(line_indices, clipped, strict=True) if self._is_solid[i]]
+        dashed = [line for i, line in zip(line_indices, clipped, strict=True) if not self._is_solid[i]]
         return VisibleStreets(areas, _coordinates(solid), _coordinates(dashed))
 
 
 def _markings(lanes: Iterable[Lane], lefthand: bool) -> tuple[list[BaseGeometry], list[BaseGeometry]]:
-    """Return the lines on the inner side of *lanes*: solid for the innermost of an edge, else dashed."""
+    """Return the lines on the inner side of *lanes*: solid for the innermost lane of an edge, else dashed."""
     solid: list[BaseGeometry] = []
     dashed: list[BaseGeometry] = []
     for lane in lanes:
@@ -129,7 +132,7 @@ def _markings(lanes: Iterable[Lane], lefthand: bool) -> tuple[list[BaseGeometry]
 
 
 def _polygons(area: BaseGeometry) -> list[BaseGeometry]:
-    """Return the polygons of *area*, collections inside collections opened."""
+    """Return the polygons of *area*, also those in nested collections."""
     if area.geom_type == "Polygon":
         return [] if area.is_empty else [area]
     if not hasattr(area, "geoms"):

@@ -1,6 +1,6 @@
-"""``margin.csv``: all trials of the margins of a seed scene, and which episodes of the folder are their neighbours.
+"""Reads and writes ``margin.csv``: all trials of the margins of a seed scene, and their episodes in the folder.
 
-Beside it lies the command that repeats them.
+A second file holds the command that repeats them.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from pathlib import Path
 from advdiff_sumo.core.errors import FileError
 
 TRIALS = "margin.csv"
-#: What the folder of a margin is about; there from the first trial on.
+#: File with the options of a margin; written before the first trial.
 SUBJECT = "margin.json"
 COMMAND = "margin.txt"
-"""File with the command that repeats them."""
+"""File with the command that repeats the margins."""
 _REMEDY = "repeat advdiff-sumo margin with the same --out"
 
 
@@ -27,12 +27,12 @@ class TrialRow:
 
     Attributes:
         attack: its kind.
-        by: the severity's name.
+        by: name of the scale of severity.
         value: of the severity.
         unit: of the value.
-        encounter: whether it took place; in a failure, whether it was with who attacks.
-        valid_failure: whether the target failed validly.
-        episode: its number in the folder; None where it is no neighbour.
+        encounter: without failure: whether the encounter took place; with one: whether the attacker was involved.
+        valid_failure: whether it ended in a valid failure.
+        episode: its number in the folder's tables; None if it is not one of the two neighbouring trials.
     """
 
     attack: str
@@ -62,7 +62,7 @@ def _text(value: str | float | None) -> str:
 
 
 def read_trials(folder: Path) -> tuple[TrialRow, ...]:
-    """Return the trials in *folder*; none where it has no such file.
+    """Return the trials in *folder*; none if it has no such file.
 
     Raises:
         FileError: the file is damaged.
@@ -78,7 +78,7 @@ def read_trials(folder: Path) -> tuple[TrialRow, ...]:
 
 
 def read_command(folder: Path) -> str:
-    """Return the command that repeats the margins in *folder*; "" where it is not known.
+    """Return the command that repeats the margins in *folder*; "" if it is unknown.
 
     Raises:
         FileError: the file is damaged.

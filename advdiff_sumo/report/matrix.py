@@ -1,6 +1,6 @@
-"""The tables of a sweep.
+"""Makes the tables of a sweep.
 
-How often each target collided in each background, and its archive: which encounters came about, and in which of them
+They are the rates of each target in each background, and the archive: which encounters occurred, and in which of them
 each target failed.
 """
 
@@ -28,12 +28,12 @@ class MatrixCell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Targets down, backgrounds across.
+    """The table of targets (rows) and backgrounds (columns).
 
     Attributes:
         targets: labels of the rows.
         backgrounds: labels of the columns.
-        cells: rows of cells; None where that pair was not run.
+        cells: rows of cells; None for a pair that was not run.
     """
 
     targets: tuple[str, ...]
@@ -42,7 +42,7 @@ class Matrix:
 
     @property
     def is_single(self) -> bool:
-        """Whether there is but one cell, which the headline tells already."""
+        """Whether there is at most one cell, whose figures are those of the headline."""
         return len(self.targets) * len(self.backgrounds) <= 1
 
 
@@ -61,13 +61,13 @@ def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:
     if not rows:
         return None
     counted = [row for row in rows if has_outcome(row)]
-    hit = [bool(row["target_collision"]) for row in counted]
-    guilty = [row["at_fault"] == "target" for row in counted]
+    has_collided = [bool(row["target_collision"]) for row in counted]
+    is_at_fault = [row["at_fault"] == "target" for row in counted]
     valid = [is_valid_failure(row) for row in counted if row["valid_failure"] is not None]
     return MatrixCell(
         valid=Rate.of_flags(valid),
-        collisions=Rate.of_flags(hit),
-        at_fault=Rate.of_flags(guilty),
+        collisions=Rate.of_flags(has_collided),
+        at_fault=Rate.of_flags(is_at_fault),
         failed=Rate.of_flags([is_failure(row) for row in rows]),
     )
 
@@ -78,8 +78,8 @@ class ArchiveLine:
 
     Attributes:
         kind: of the attack.
-        approach: from where the other came.
-        elites: what is in the cells, in the order of ``MANOEUVRES``; None for an empty one.
+        approach: direction from which the other party came.
+        elites: contents of the cells, in the order of ``MANOEUVRES``; None for an empty cell.
     """
 
     kind: str
@@ -93,8 +93,8 @@ class ArchiveTable:
 
     Attributes:
         target: its label.
-        filled: cells with a valid failure.
-        met: cells with an episode.
+        filled: number of cells with a valid failure.
+        met: number of cells with an episode.
         lines: of the table.
     """
 
@@ -105,7 +105,7 @@ class ArchiveTable:
 
 
 def archives_of(rows: Sequence[Row], labels: Labels) -> list[ArchiveTable]:
-    """Return the archive of every target that a background attacked; none for the folder of a run.
+    """Return the archive of every target that a background attacked; none if the rows have no kind of attack.
 
     Args:
         rows: of ``episodes.parquet``.
@@ -115,7 +115,7 @@ def archives_of(rows: Sequence[Row], labels: Labels) -> list[ArchiveTable]:
     for row in rows:
         if row["attack_kind"] is not None:
             by_target.setdefault(labels.target(row), []).append(row)
-    tables = [_table(target, archive(some)) for target, some in by_target.items()]
+    tables = [_table(target, archive(target_rows)) for target, target_rows in by_target.items()]
     return [table for table in tables if table.lines]
 
 

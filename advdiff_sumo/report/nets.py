@@ -1,4 +1,4 @@
-"""The nets that a run or sweep was made on, read when they are first drawn."""
+"""Finds and reads the nets of a run or sweep when they are first drawn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.report.layer import MapLayer
 
 
 class NetLayers:
-    """Layers by the name that the episodes give their net, and why some are not there."""
+    """Layers by the name of the net in the episodes' rows, and ``problems`` of nets that cannot be drawn."""
 
     def __init__(self, run: FinishedRun) -> None:
         self._folder = run.folder
@@ -22,7 +22,7 @@ class NetLayers:
         self.problems: dict[str, str] = {}
 
     def layer(self, name: str) -> MapLayer | None:
-        """Return the net called *name*; None when it cannot be drawn, and ``problems`` says why."""
+        """Return the layer of the net *name*; None if it cannot be drawn, for the reason in ``problems``."""
         if name not in self._layers:
             self._layers[name] = self._read(name)
         return self._layers[name]
@@ -43,18 +43,18 @@ class NetLayers:
 
 
 def net_path(name: str, folder: Path) -> Path | None:
-    """Return where the net *name* of a folder is: as named, beside the tables, among the shipped ones; or None."""
+    """Return the file of the net *name*: as named, in *folder*, or a shipped one; None if there is none."""
     shipped = (find_net(name),) if name in NETS_BY_NAME else ()
     return next((p for p in (Path(name), folder / Path(name).name, *shipped) if p.is_file()), None)
 
 
 def place_name(net: str) -> str:
-    """Return a net's name as one reads it, without folder and endings."""
+    """Return a net's name for display, without folder and suffixes."""
     return Path(net).name.removesuffix(".gz").removesuffix(".xml").removesuffix(".net")
 
 
 def place_names(nets: Iterable[str]) -> dict[str, str]:
-    """Return net → its name as one reads it; those of one name in several folders are told apart by these."""
+    """Return net → its name for display; equal names are distinguished by their folders."""
     nets = list(nets)
     names = distinct_names({Path(net): place_name(net) for net in nets})
     return {net: names[Path(net)] for net in nets}

@@ -1,4 +1,4 @@
-"""The map at the top of the report: the whole net, where the targets drove and where they were hit."""
+"""Makes the map at the top of the report: the net, the targets' paths and their collisions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FailurePlace:
         x: position in the picture.
         y: position in the picture.
         at_fault: target, other or unclear.
-        text: what happened.
+        text: type of the collision.
     """
 
     episode: int
@@ -41,12 +41,12 @@ class Overview:
 
     Attributes:
         name: of the net.
-        view_box: of the whole.
-        area: drivable area, "" without a map.
-        trails: paths of the targets.
-        places: where they collided.
+        view_box: of the whole map.
+        area: path data of the drivable area, "" without a net.
+        trails: path data of the targets' paths.
+        places: of their collisions.
         size: width.
-        aspect: width by height.
+        aspect: width / height.
     """
 
     name: str
@@ -65,15 +65,15 @@ def overview_of(
 
     Args:
         name: of the net.
-        layer: the net, or None to show the part that was driven, without streets.
+        layer: the net; None: the driven part is shown without streets.
         target_trails: (K, 2) paths of the targets.
         rows: rows of ``episodes.parquet``.
     """
-    view = layer.view if layer is not None else _driven(target_trails)
+    view = layer.view if layer is not None else _driven_view(target_trails)
     tolerance = _TRAIL_TOLERANCE * view.width_m
     streets = None if layer is None else layer.streets(view, tolerance_m=0.5 * tolerance, markings=False)
     trails = [xy[np.isfinite(xy).all(axis=1)] for xy in target_trails]
-    thin = [
+    simplified = [
         shapely.get_coordinates(shapely.simplify(shapely.LineString(xy), tolerance))
         for xy in trails
         if len(xy) > 1
@@ -82,14 +82,14 @@ def overview_of(
         name=name,
         view_box=view_box(view, view),
         area="" if streets is None else lines_data(streets.areas, view, closed=True),
-        trails=tuple(line_data(xy, view) for xy in thin),
+        trails=tuple(line_data(xy, view) for xy in simplified),
         places=tuple(_place(row, view) for row in rows if _is_placed(row)),
         size=round(100.0 * view.width_m),
         aspect=view.width_m / view.height_m,
     )
 
 
-def _driven(trails: Sequence[FloatArray]) -> NetWindow:
+def _driven_view(trails: Sequence[FloatArray]) -> NetWindow:
     return NetWindow.around(np.concatenate([np.zeros((0, 2)), *trails]), margin_m=20.0, least_width_m=100.0)
 
 

@@ -27,7 +27,7 @@ from advdiff_sumo.report.sample_pictures import samples_by_background
 from advdiff_sumo.report.sections import Section, Sections
 from advdiff_sumo.report.templates import breaches_of, templates
 
-#: Nets that get a map of their own, those with the most collisions first.
+#: Number of nets that get a map, those with the most collisions first.
 MOST_MAPS = 6
 
 
@@ -40,8 +40,8 @@ def write_report(folder: Path) -> Path:
     path = folder / "report.html"
     content = report_html(FinishedRun.read(folder)).encode()
     try:
-        with whole_file(path) as aside:
-            aside.write_bytes(content)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(content)
     except OSError as error:
         raise FileError(path, f"cannot be written ({os_reason(error)})", "make the folder writable") from None
     return path
@@ -49,13 +49,13 @@ def write_report(folder: Path) -> Path:
 
 def report_html(run: FinishedRun) -> str:
     """Return the page of *run*."""
-    labels, nets, naturals = Labels(run.episodes), NetLayers(run), ReferenceEpisodes(run)
+    labels, nets, natural_episodes = Labels(run.episodes), NetLayers(run), ReferenceEpisodes(run)
     ordered = worst_first(run.episodes)
-    places = list(dict.fromkeys(str(row["net"]) for row in ordered))
-    sections = list(Sections(run, nets, naturals, labels, places).of(ordered))
-    names = place_names(places)
+    nets_in_order = list(dict.fromkeys(str(row["net"]) for row in ordered))
+    sections = list(Sections(run, nets, natural_episodes, labels, nets_in_order).make(ordered))
+    names = place_names(nets_in_order)
     maps = _maps(run, nets, sections, names)
-    streets = _streets(nets, places, sections)
+    streets = _streets(nets, nets_in_order, sections)
     return (
         templates()
         .get_template("page.html")
@@ -78,7 +78,7 @@ def report_html(run: FinishedRun) -> str:
             archives=archives_of(run.episodes, labels),
             manoeuvres=MANOEUVRES,
             matrix=matrix_of(run.episodes, labels),
-            histograms=histograms(samples_by_background(run, naturals, labels)),
+            histograms=histograms(samples_by_background(run, natural_episodes, labels)),
             maps=maps,
             problems=[nets.problems[net] for net in sorted(nets.problems)],
             episodes=ordered,
@@ -93,12 +93,12 @@ def report_html(run: FinishedRun) -> str:
 
 
 def own_modules(*options: Mapping[str, Any]) -> list[str]:
-    """Return the files of users' own targets and backgrounds, which whoever repeats a run must be able to import.
+    """Return the files of users' own targets and backgrounds; they must be importable to repeat a run.
 
     Args:
-        options: of a run, or rows of a sweep's ``episodes``: what "target" and "background" name.
+        options: of a run, or rows of a sweep's ``episodes``; their "target" and "background" are examined.
     """
-    names = (str(some.get(plug_in) or "") for some in options for plug_in in ("target", "background"))
+    names = (str(named.get(plug_in) or "") for named in options for plug_in in ("target", "background"))
     modules = (
         name.partition(":")[0].partition(".")[0] for name in names if ":" in name and not is_remote(name)
     )
@@ -107,6 +107,7 @@ def own_modules(*options: Mapping[str, Any]) -> list[str]:
 
 
 def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:
+    """Return net → paths of the target in the episodes with a picture or in the player."""
     trails: dict[str, list[FloatArray]] = {}
     for section in sections:
         if section.html or section.block:
@@ -117,17 +118,21 @@ def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:
 def _maps(
     run: FinishedRun, nets: NetLayers, sections: list[Section], names: Mapping[str, str]
 ) -> list[Overview]:
-    """Return the maps of the nets, by their *names*, those with the most collisions first."""
+    """Return the maps of the nets, titled by *names*, those with the most collisions first."""
     trails = _trails(sections)
     rows = {net: [row for row in run.episodes if row["net"] == net] for net in trails}
-    busiest = sorted(trails, key=lambda net: (-sum(bool(r["target_collision"]) for r in rows[net]), net))
-    return [overview_of(names[net], nets.layer(net), trails[net], rows[net]) for net in busiest[:MOST_MAPS]]
+    by_collisions = sorted(
+        trails, key=lambda net: (-sum(bool(r["target_collision"]) for r in rows[net]), net)
+    )
+    return [
+        overview_of(names[net], nets.layer(net), trails[net], rows[net]) for net in by_collisions[:MOST_MAPS]
+    ]
 
 
-def _streets(nets: NetLayers, places: list[str], sections: list[Section]) -> list[tuple[str, str]]:
-    """Return (id, block) of the streets of each net that an episode to be played was driven on."""
+def _streets(nets: NetLayers, net_names: list[str], sections: list[Section]) -> list[tuple[str, str]]:
+    """Return (id, block) of the streets of each net that has an episode in the player."""
     streets = []
-    for number, net in enumerate(places):
+    for number, net in enumerate(net_names):
         paths = [s.target_xy_m for s in sections if s.block and s.net == net]
         layer = nets.layer(net)
         if paths and layer is not None:

@@ -1,4 +1,4 @@
-"""What was planned, out of ``plans.parquet`` and into an episode's block."""
+"""Reads the plans of ``plans.parquet`` and encodes them for an episode's block."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ PLAN_COLUMNS = ("made_s", "agent", "time_s", "x_m", "y_m")
 
 @dataclass(frozen=True)
 class Planned:
-    """What one vehicle meant to do at one moment.
+    """The plan of one vehicle at one moment.
 
     Attributes:
         agent: its id.
-        made_s: when.
+        made_s: time at which it was made.
         times_s: (T,) of the planned positions, evenly spaced.
         xy_m: (T, 2) planned centres of the box.
     """
@@ -34,7 +34,7 @@ class Planned:
 
 
 def plans_of(table: pa.Table) -> tuple[Planned, ...]:
-    """Return the plans in *table* (rows of one episode) by agent, then in the order of time."""
+    """Return the plans in *table* (rows of one episode), by agent and then in order of time."""
     if not table.num_rows:
         return ()
     table = table.sort_by([("agent", "ascending"), ("made_s", "ascending"), ("time_s", "ascending")])
@@ -44,55 +44,61 @@ def plans_of(table: pa.Table) -> tuple[Planned, ...]:
     )
     xy = np.stack((x, y), axis=-1)
     plans = []
-    for (agent, moment), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made_s[k])):
-        own = list(rows)
-        plans.append(Planned(agent, float(moment), times[own], xy[own]))
+    for (agent, made), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made_s[k])):
+        indices = list(rows)
+        plans.append(Planned(agent, float(made), times[indices], xy[indices]))
     return tuple(plans)
 
 
 def packed_plans(
     plans: Sequence[Planned], rows: Mapping[str, int], origin_m: FloatArray
 ) -> tuple[dict[str, Any] | None, list[IntArray]]:
-    """Return the header and the numbers of *plans* for a block; None where there are none.
+    """Return the header and the numbers of *plans* for a block; the header is None without plans.
 
-    The header has the spacing ``dt`` of positions, the time ``every`` between two plans, and for each series of
-    plans of an agent its row, their number, and the x and y in cm that the first one's position is relative to.
-    A plan is five numbers (steps of ``dt`` since the plan before, steps until its first position, positions, x
-    and y of the first one less those of the plan before), then the second differences of x and of y.
+    The header has the spacing ``dt`` of positions, the least time ``every`` between plans, and for each series of plans
+    of an agent its row ``r``, their number ``n``, and ``x`` and ``y`` in cm of the first plan's first position. A plan
+    is five numbers: steps of ``dt`` since the previous plan, steps until its first position, number of positions, and x
+    and y of the first position less those of the previous plan. The second differences of x and of y follow.
 
     Args:
         plans: of one episode, see :func:`plans_of`.
-        rows: row of each agent in the block; others are left out.
-        origin_m: (2,) what the block's positions are relative to.
+        rows: row of each agent in the block; other agents are left out.
+        origin_m: (2,) origin of the block's positions.
     """
-    known = [plan for plan in plans if plan.agent in rows]
-    if not known:
+    packable = [plan for plan in plans if plan.agent in rows]
+    if not packable:
         return None, []
-    dt = min(float(plan.times_s[0]) - plan.made_s for plan in known)
-    moments = np.unique([plan.made_s for plan in known])
+    dt = min(float(plan.times_s[0]) - plan.made_s for plan in packable)
+    made_times = np.unique([plan.made_s for plan in packable])
     series: list[dict[str, int]] = []
     numbers: list[IntArray] = []
-    for agent, own in groupby(known, key=lambda plan: plan.agent):
-        last: tuple[int, IntArray] | None = None
-        for plan in own:
-            place = np.rint((plan.xy_m - origin_m) * PER_M).astype(np.int64)
+    for agent, agent_plans in groupby(packable, key=lambda plan: plan.agent):
+        previous: tuple[int, IntArray] | None = None
+        for plan in agent_plans:
+            xy_cm = np.rint((plan.xy_m - origin_m) * PER_M).astype(np.int64)
             made_step = round(plan.made_s / dt)
-            coded = None if last is None else _coded(plan, place, made_step - last[0], last[1], dt)
-            if coded is None:  # the first, or so far off that it needs a beginning of its own
-                x, y = place[0].tolist()
+            plan_numbers = None
+            if previous is not None:
+                plan_numbers = _coded(plan, xy_cm, made_step - previous[0], previous[1], dt)
+            if (
+                plan_numbers is None
+            ):  # the first plan, or one too far from the previous one: begin a new series
+                x, y = xy_cm[0].tolist()
                 series.append({"r": rows[agent], "n": 0, "x": x, "y": y})
-                coded = _coded(plan, place, made_step, place[0], dt)
-            if coded is not None:
+                plan_numbers = _coded(plan, xy_cm, made_step, xy_cm[0], dt)
+            if plan_numbers is not None:
                 series[-1]["n"] += 1
-                numbers.append(coded)
-                last = made_step, place[0]
-    every = float(np.diff(moments).min()) if len(moments) > 1 else dt
+                numbers.append(plan_numbers)
+                previous = made_step, xy_cm[0]
+    every = float(np.diff(made_times).min()) if len(made_times) > 1 else dt
     return {"dt": round(dt, 6), "every": round(every, 6), "series": series}, numbers
 
 
-def _coded(plan: Planned, place: IntArray, since: int, before: IntArray, dt_s: float) -> IntArray | None:
-    """Return the numbers of one plan; None where one does not fit."""
+def _coded(
+    plan: Planned, xy_cm: IntArray, steps_since: int, previous_xy_cm: IntArray, dt_s: float
+) -> IntArray | None:
+    """Return the numbers of one plan; None if one exceeds the range of a block."""
     first = round((float(plan.times_s[0]) - plan.made_s) / dt_s)
-    head = np.array([since, first, len(place), *(place[0] - before)], dtype=np.int64)
-    coded = np.concatenate((head, second_differences(place[:, 0]), second_differences(place[:, 1])))
+    header = np.array([steps_since, first, len(xy_cm), *(xy_cm[0] - previous_xy_cm)], dtype=np.int64)
+    coded = np.concatenate((header, second_differences(xy_cm[:, 0]), second_differences(xy_cm[:, 1])))
     return coded if fits(coded) else None

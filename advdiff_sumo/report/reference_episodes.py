@@ -1,4 +1,4 @@
-"""What would have happened without attack: the same seed scene as it was logged, or in natural traffic."""
+"""Finds the natural counterpart of an episode: the same seed scene in the driving log or in natural traffic."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from advdiff_sumo.report.folder import FinishedRun, Row
 
 #: Backgrounds that do not attack, the more natural one first.
 NATURAL = ("sumo", "replay")
-_KEPT_DRIVES = 16
+_CACHED_DRIVES = 16
 
 
 class ReferenceEpisodes:
     """Finds the natural counterpart of each episode.
 
-    Where seed scenes come from a driving log, it is the log itself, read again. Otherwise, in a sweep that has
-    it, it is the episode with the same scene and target in SUMO's own or in replayed traffic; else the traffic
-    that the seed scene was cut from, which the episode has kept.
+    It is the first available one of these:
+
+    1. the driving log from which the seed scene comes, read again;
+    2. the sweep's episode with the same scene and target in SUMO's own or in replayed traffic;
+    3. the traffic from which the seed scene was taken, as recorded with the episode.
     """
 
     def __init__(self, run: FinishedRun) -> None:
@@ -33,42 +35,42 @@ class ReferenceEpisodes:
         for net, root in run.logs():
             self._logs.setdefault(net, []).append(root)
         self._readers: dict[str, LogReader | None] = {}
-        self._drive = lru_cache(maxsize=_KEPT_DRIVES)(self._read_drive)
+        self._drive = lru_cache(maxsize=_CACHED_DRIVES)(self._read_drive)
         self._episodes = {
-            (_situation(row), row["background"]): int(row["episode"])
+            (_scene_and_target(row), row["background"]): int(row["episode"])
             for row in reversed(run.episodes)
             if row["scene_key"] and row["background"] in NATURAL and row["end"] != "failed"
         }
 
-    def of(self, row: Row) -> Tracks | None:
-        """Return (A, T) natural tracks of the episode in *row*, clock 0 at its start; None when none are known."""
-        for known in (self._logged, self._simulated, self._kept):
-            tracks = known(row)
+    def natural_tracks(self, row: Row) -> Tracks | None:
+        """Return natural tracks (A, T) for the episode in *row*, with time 0 at its start; None if there are none."""
+        for source in (self._logged_tracks, self._simulated_tracks, self._seed_traffic_tracks):
+            tracks = source(row)
             if tracks is not None:
                 return tracks
         return None
 
-    def kept(self, row: Row) -> EpisodeStates | None:
-        """Return the traffic that the seed scene of *row* was cut from, as the episode has kept it, or None."""
+    def seed_traffic(self, row: Row) -> EpisodeStates | None:
+        """Return the recorded traffic from which the seed scene of *row* was taken; None if it was not recorded."""
         return self._run.natural(int(row["episode"]))
 
-    def _kept(self, row: Row) -> Tracks | None:
-        """Return the same where the background was not natural itself."""
-        kept = None if row["background"] == NATURAL[0] else self.kept(row)
-        return None if kept is None else kept.tracks
+    def _seed_traffic_tracks(self, row: Row) -> Tracks | None:
+        """Return the tracks of ``seed_traffic``; None if the background was natural itself."""
+        traffic = None if row["background"] == NATURAL[0] else self.seed_traffic(row)
+        return None if traffic is None else traffic.tracks
 
-    def drive_of(self, row: Row) -> LogScene | None:
-        """Return the logged drive that the episode's seed scene was cut from; None without a log."""
+    def logged_drive(self, row: Row) -> LogScene | None:
+        """Return the logged drive from which the episode's seed scene was taken; None without a log."""
         name = str(row["scene"]).rpartition("-")[0]
         drives = (self._drive(root, name) for root in self._logs.get(str(row["net"]), ()))
         return next((drive for drive in drives if drive is not None), None)
 
-    def _logged(self, row: Row) -> Tracks | None:
-        drive, now = self.drive_of(row), str(row["scene"]).rpartition("-")[2]
-        if drive is None or not now.isdigit():
+    def _logged_tracks(self, row: Row) -> Tracks | None:
+        drive, start_step = self.logged_drive(row), str(row["scene"]).rpartition("-")[2]
+        if drive is None or not start_step.isdigit():
             return None
         tracks = drive.tracks
-        return tracks.shifted(-tracks.t0_s - int(now) * tracks.dt_s)
+        return tracks.shifted(-tracks.t0_s - int(start_step) * tracks.dt_s)
 
     def _read_drive(self, root: str, name: str) -> LogScene | None:
         try:
@@ -76,27 +78,27 @@ class ReferenceEpisodes:
                 self._readers[root] = open_log(Path(root))
             reader = self._readers[root]
             return None if reader is None else reader.read(name)
-        except UnknownNameError:  # of another log, or of none
+        except UnknownNameError:  # the drive is not in this log
             return None
-        except AdvdiffError:  # the log was moved or changed since: the page is drawn without it
+        except AdvdiffError:  # the log was moved or changed: the page is made without it
             self._readers.setdefault(root, None)
             return None
 
-    def _simulated(self, row: Row) -> Tracks | None:
+    def _simulated_tracks(self, row: Row) -> Tracks | None:
         if row["background"] == NATURAL[0]:
             return None
         for background in NATURAL:
-            number = self._episodes.get((_situation(row), background))
+            number = self._episodes.get((_scene_and_target(row), background))
             if number is not None and background != row["background"]:
                 states = self._run.states(number)
                 return None if states is None else thinned(states.tracks)
         return None
 
 
-def _situation(row: Mapping[str, Any]) -> tuple[str, str, str]:
+def _scene_and_target(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(row["scene_key"]), str(row["target"]), str(row["target_options"])
 
 
 def thinned(tracks: Tracks) -> Tracks:
-    """Return every n-th instant, so that they are about half a second apart."""
+    """Return every n-th instant, so that instants are about 0.5 s apart."""
     return tracks.every(max(1, round(0.5 / tracks.dt_s)))

@@ -1,4 +1,4 @@
-"""What a run came to, in a few figures."""
+"""Summarises a run in a few figures."""
 
 from __future__ import annotations
 
@@ -20,52 +20,52 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         rows: of ``episodes.parquet``.
         timing: of ``timing.parquet``.
     """
-    counted = [row for row in rows if has_outcome(row)]
-    ended = {row.get("episode") for row in counted}
-    timing = [row for row in timing if row.get("episode") in ended]
-    hits = [row for row in counted if row["target_collision"]]
+    known = [row for row in rows if has_outcome(row)]
+    episodes_with_outcome = {row.get("episode") for row in known}
+    timing = [row for row in timing if row.get("episode") in episodes_with_outcome]
+    collided = [row for row in known if row["target_collision"]]
     lines = [
-        ("valid failures", _rate(_valid_failures(counted), len(counted))),
-        ("critical near misses", _rate(sum(bool(row["critical"]) for row in counted), len(counted))),
-        ("target breaks a rule", _rate(sum(map(broke_rule, counted)), len(counted))),
-        ("target collides", _rate(len(hits), len(counted))),
-        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in hits), len(counted))),
-        ("route completed", _rate(sum(bool(row["route_completed"]) for row in counted), len(counted))),
+        ("valid failures", _rate(_valid_failures(known), len(known))),
+        ("critical near misses", _rate(sum(bool(row["critical"]) for row in known), len(known))),
+        ("target breaks a rule", _rate(sum(map(broke_rule, known)), len(known))),
+        ("target collides", _rate(len(collided), len(known))),
+        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in collided), len(known))),
+        ("route completed", _rate(sum(bool(row["route_completed"]) for row in known), len(known))),
         ("failed episodes", _rate(sum(map(is_failure, rows)), len(rows))),
-        ("median of minimum TTC", _median(counted, "min_ttc_s", "s")),
-        ("median of minimum clearance", _median(counted, "min_clearance_m", "m")),
-        *position_lines(counted),
+        ("median of minimum TTC", _median_text(known, "min_ttc_s", "s")),
+        ("median of minimum clearance", _median_text(known, "min_clearance_m", "m")),
+        *position_lines(known),
         *plan_lines(rows),
-        ("real-time factor (median)", _median(timing, "real_time_factor", "×")),
+        ("real-time factor (median)", _median_text(timing, "real_time_factor", "×")),
     ]
-    for who in ("target", "background"):
-        if any(row[f"{who}_plan_p50_s"] is not None for row in timing):
-            p50, p99 = (_median(timing, f"{who}_plan_p{share}_s", "s", "{:.4f}") for share in (50, 99))
-            lines.append((f"{who}'s plan, median and 99 %", f"{p50}, {p99}"))
+    for role in ("target", "background"):
+        if any(row[f"{role}_plan_p50_s"] is not None for row in timing):
+            p50, p99 = (_median_text(timing, f"{role}_plan_p{share}_s", "s", "{:.4f}") for share in (50, 99))
+            lines.append((f"{role}'s plan, median and 99 %", f"{p50}, {p99}"))
     return lines
 
 
 def summary_figures(rows: Rows) -> dict[str, Any]:
-    """Return what the rates in :func:`summary_lines` count, and failed episodes by kind.
+    """Return the counts behind the rates of :func:`summary_lines`, and failed episodes by kind.
 
-    Episodes that failed after a collision of the target count in all of them, and not among the finished ones.
+    Episodes that failed after a collision of the target count in all of these, but not as finished.
     """
-    counted = [row for row in rows if has_outcome(row)]
-    hits = [row for row in counted if row["target_collision"]]
+    with_outcome = [row for row in rows if has_outcome(row)]
+    collided = [row for row in with_outcome if row["target_collision"]]
     kinds = sorted({str(row["failure_kind"]) for row in rows if is_failure(row)})
     return {
         "episodes": len(rows),
         "finished": sum(not is_failure(row) for row in rows),
-        "valid_failures": _valid_failures(counted),
-        "critical": sum(bool(row["critical"]) for row in counted),
-        "offences": sum(map(broke_rule, counted)),
-        "collisions": len(hits),
-        "at_fault": sum(row["at_fault"] == "target" for row in hits),
-        "routes_completed": sum(bool(row["route_completed"]) for row in counted),
-        "out_of_position": sum(out_of_position(row) is not None for row in counted),
+        "valid_failures": _valid_failures(with_outcome),
+        "critical": sum(bool(row["critical"]) for row in with_outcome),
+        "offences": sum(map(broke_rule, with_outcome)),
+        "collisions": len(collided),
+        "at_fault": sum(row["at_fault"] == "target" for row in collided),
+        "routes_completed": sum(bool(row["route_completed"]) for row in with_outcome),
+        "out_of_position": sum(out_of_position(row) is not None for row in with_outcome),
         "failed": {kind: sum(row["failure_kind"] == kind for row in rows) for kind in kinds},
-        "median_min_ttc_s": _middle(counted, "min_ttc_s"),
-        "median_min_clearance_m": _middle(counted, "min_clearance_m"),
+        "median_min_ttc_s": _median_value(with_outcome, "min_ttc_s"),
+        "median_min_clearance_m": _median_value(with_outcome, "min_clearance_m"),
     }
 
 
@@ -80,12 +80,12 @@ def _rate(count: int, total: int) -> str:
     return f"{100 * count / total:.1f} %  [{100 * low:.1f}, {100 * high:.1f}]  {count} of {total}"
 
 
-def _median(rows: Rows, column: str, unit: str, form: str = "{:.2f}") -> str:
-    value, known = _middle(rows, column), sum(row[column] is not None for row in rows)
-    some = f" (of {known} of {len(rows)} episodes)" if known < len(rows) else ""
-    return "–" if value is None else f"{form.format(value)} {unit}{some}"
+def _median_text(rows: Rows, column: str, unit: str, form: str = "{:.2f}") -> str:
+    value, known_count = _median_value(rows, column), sum(row[column] is not None for row in rows)
+    note = f" (of {known_count} of {len(rows)} episodes)" if known_count < len(rows) else ""
+    return "–" if value is None else f"{form.format(value)} {unit}{note}"
 
 
-def _middle(rows: Rows, column: str) -> float | None:
+def _median_value(rows: Rows, column: str) -> float | None:
     values = [row[column] for row in rows if row[column] is not None]
     return float(median(values)) if values else None

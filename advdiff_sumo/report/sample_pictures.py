@@ -1,4 +1,4 @@
-"""How fast, how hard and how near: values of many episodes, to hold against natural traffic."""
+"""Collects speeds, accelerations and times to collision of many episodes, to compare them with natural traffic."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.reference_episodes import NATURAL, ReferenceEpisodes, thinned
 
-#: Episodes looked at for each background, evenly spaced over all of them.
+#: Number of episodes used for each background, evenly spaced over all of them.
 MOST_EPISODES = 150
-LOGGED = "driving log"
-SCENES = "traffic of the seed scenes"
-_MOVES_MPS = 0.5
+LOG_LABEL = "driving log"
+SEED_TRAFFIC_LABEL = "traffic of the seed scenes"
+_MOVING_MPS = 0.5
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Samples:
     """Values every 0.5 s.
 
     Attributes:
-        speed_mps: of the background vehicles that ever move.
+        speed_mps: of the background vehicles that move at any time.
         accel_mps2: of the same, as differences of their speeds.
-        ttc_s: least time to collision of the target, where it is under 10 s.
-        episodes: how many they come from.
+        ttc_s: least time to collision of the target, where it is at most 10 s.
+        episodes: number of episodes.
     """
 
     speed_mps: FloatArray
@@ -39,12 +39,12 @@ class Samples:
 
     @staticmethod
     def joined(parts: Sequence[Samples]) -> Samples:
-        """Return all of *parts* as one."""
-        nothing = np.zeros(0)
+        """Return *parts* concatenated."""
+        empty = np.zeros(0)
         return Samples(
-            speed_mps=np.concatenate([nothing, *(p.speed_mps for p in parts)]),
-            accel_mps2=np.concatenate([nothing, *(p.accel_mps2 for p in parts)]),
-            ttc_s=np.concatenate([nothing, *(p.ttc_s for p in parts)]),
+            speed_mps=np.concatenate([empty, *(p.speed_mps for p in parts)]),
+            accel_mps2=np.concatenate([empty, *(p.accel_mps2 for p in parts)]),
+            ttc_s=np.concatenate([empty, *(p.ttc_s for p in parts)]),
             episodes=sum(p.episodes for p in parts),
         )
 
@@ -53,16 +53,16 @@ def samples_of(tracks: Tracks, target: int) -> Samples:
     """Return the samples of one episode or drive; *target* is the row of the tested vehicle."""
     thin = thinned(tracks)
     speed = thin.speed_mps
-    moves = np.nanmax(np.where(thin.valid, speed, -np.inf), axis=1, initial=-np.inf) > _MOVES_MPS
-    moves &= thin.classes != AgentClass.PEDESTRIAN
-    moves[target] = False
-    accel = np.diff(speed[moves], axis=1) / thin.dt_s
+    is_moving = np.nanmax(np.where(thin.valid, speed, -np.inf), axis=1, initial=-np.inf) > _MOVING_MPS
+    is_moving &= thin.classes != AgentClass.PEDESTRIAN
+    is_moving[target] = False
+    accel = np.diff(speed[is_moving], axis=1) / thin.dt_s
     ttc = time_to_collision(thin, target)
-    least = np.where(np.isfinite(ttc), ttc, np.inf).min(axis=0, initial=np.inf)
+    least_ttc_s = np.where(np.isfinite(ttc), ttc, np.inf).min(axis=0, initial=np.inf)
     return Samples(
-        speed_mps=speed[moves][thin.valid[moves]],
+        speed_mps=speed[is_moving][thin.valid[is_moving]],
         accel_mps2=accel[np.isfinite(accel)],
-        ttc_s=least[least <= TTC_HORIZON_S],
+        ttc_s=least_ttc_s[least_ttc_s <= TTC_HORIZON_S],
         episodes=1,
     )
 
@@ -70,49 +70,53 @@ def samples_of(tracks: Tracks, target: int) -> Samples:
 def samples_by_background(
     run: FinishedRun, naturals: ReferenceEpisodes, labels: Labels
 ) -> Mapping[str, Samples]:
-    """Return the samples of each background, natural traffic first: SUMO's own, or the log behind the scenes.
+    """Return the samples of each background, natural traffic first.
 
-    Where nothing was run in SUMO's own traffic, it is the traffic that the seed scenes were cut from.
+    The driving log of the seed scenes comes before all, if there is one. Without log and episodes in SUMO's own
+    traffic, the recorded traffic of the seed scenes takes its place.
     """
     groups: dict[str, list[Row]] = {}
     for row in run.episodes:
         if row["end"] != "failed":
             groups.setdefault(labels.background(row), []).append(row)
-    samples = {name: Samples.joined(list(_driven(run, _spaced(rows)))) for name, rows in groups.items()}
-    logged = Samples.joined(list(_logged(naturals, _spaced(run.episodes))))
-    first = {LOGGED: logged} if logged.episodes else {}
-    if not first and all(row["background"] != NATURAL[0] for row in run.episodes):
-        kept = Samples.joined(list(_kept(naturals, _spaced(run.episodes))))
-        first = {SCENES: kept} if kept.episodes else {}
+    samples = {
+        name: Samples.joined(list(_driven_samples(run, _evenly_spaced(rows))))
+        for name, rows in groups.items()
+    }
+    logged = Samples.joined(list(_logged_samples(naturals, _evenly_spaced(run.episodes))))
+    natural = {LOG_LABEL: logged} if logged.episodes else {}
+    if not natural and all(row["background"] != NATURAL[0] for row in run.episodes):
+        seed_traffic = Samples.joined(list(_seed_traffic_samples(naturals, _evenly_spaced(run.episodes))))
+        natural = {SEED_TRAFFIC_LABEL: seed_traffic} if seed_traffic.episodes else {}
     ordered = sorted(samples, key=lambda name: (NATURAL[0] not in name.split(), name))
-    return first | {name: samples[name] for name in ordered if samples[name].episodes}
+    return natural | {name: samples[name] for name in ordered if samples[name].episodes}
 
 
-def _driven(run: FinishedRun, rows: Iterable[Row]) -> Iterable[Samples]:
+def _driven_samples(run: FinishedRun, rows: Iterable[Row]) -> Iterable[Samples]:
     for row in rows:
         states = run.states(int(row["episode"]))
         if states is not None:
             yield samples_of(states.tracks, states.target)
 
 
-def _logged(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
+def _logged_samples(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
     drives = {(str(row["net"]), str(row["scene"]).rpartition("-")[0]): row for row in rows}
     for row in drives.values():
-        drive = naturals.drive_of(row)
+        drive = naturals.logged_drive(row)
         if drive is not None:
             yield samples_of(drive.tracks, drive.ego)
 
 
-def _kept(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
+def _seed_traffic_samples(naturals: ReferenceEpisodes, rows: Iterable[Row]) -> Iterable[Samples]:
     scenes = {(str(row["net"]), str(row["scene_key"]), str(row["scene"])): row for row in rows}
     for row in scenes.values():
-        kept = naturals.kept(row)
-        if kept is not None:
-            yield samples_of(kept.tracks, kept.target)
+        traffic = naturals.seed_traffic(row)
+        if traffic is not None:
+            yield samples_of(traffic.tracks, traffic.target)
 
 
-def _spaced(rows: Sequence[Row]) -> list[Row]:
+def _evenly_spaced(rows: Sequence[Row]) -> list[Row]:
     if not rows:
         return []
-    chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_EPISODES)).round().astype(int))
-    return [rows[k] for k in chosen]
+    indices = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_EPISODES)).round().astype(int))
+    return [rows[k] for k in indices]

@@ -1,4 +1,4 @@
-"""What a picture of an episode shows, in the net's metres; drawn as SVG or by matplotlib elsewhere."""
+"""Prepares the picture of an episode, in the net's metres; other modules draw it as SVG or by matplotlib."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.report.layer import MapLayer, NetWindow, VisibleStreets
 from advdiff_sumo.report.select import attacker_of
 
-#: Longer episodes are drawn from here before their end.
+#: Of longer episodes, only this duration before their end is drawn.
 SHOWN_S = 60.0
 #: Spacing of the boxes along the target's and the attacker's path.
 BOX_SPACING_S = 1.0
 _LABEL_SPACING_M = 9.0
+#: The view includes the attacker where it is within this distance of the target.
 ATTACKER_NEAR_M = 50.0
-#: Target and attacker nearer than this, and so far beside each other, have their labels on the far sides.
-_RIVAL_NEAR_M, _BESIDE_M = 12.0, 0.5
+#: Target and attacker within this distance and with this lateral offset have their labels on opposite sides.
+_LABELS_APART_WITHIN_M, _MIN_LATERAL_M = 12.0, 0.5
 _CLOSE_UP_S = 3.0
 
 
 class Role(StrEnum):
-    """Who is drawn."""
+    """The role of a drawn road user."""
 
     TARGET = "target"
     ATTACKER = "attacker"
@@ -38,7 +39,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Trail:
-    """Where one agent drove: (K, 2) points in time order."""
+    """The path of one agent: points (K, 2) in order of time."""
 
     role: Role
     xy_m: FloatArray
@@ -49,10 +50,10 @@ class Box:
     """One agent at one moment.
 
     Attributes:
-        role: who.
+        role: of the agent.
         corners_m: (4, 2), the front ones first.
         age: 0 for the last moment of the picture, up to 1 for its first.
-        label: seconds since the episode's start, "" when the box has none.
+        label: seconds since the episode's start, "" without label.
         centre_m: (2,) centre.
         label_side: unit vector (2,) from the centre towards the label.
     """
@@ -70,17 +71,17 @@ class Picture:
     """One episode, ready to draw.
 
     Attributes:
-        view: what the picture covers.
-        close_up: the moment of contact, nearer; None without a collision.
-        streets: the map in the view; None when the net is not there.
-        trails: trajectories, the target's last.
+        view: area of the picture.
+        close_up: view of the last seconds before the contact; None without a collision.
+        streets: in the view; None if the net is missing.
+        trails: paths, the target's last.
         boxes: from the oldest to the newest, the target's last of each moment.
         impact_m: (2,) impact point of the target, or None.
-        other_impacts_m: impact points of background vehicles among themselves.
+        other_impacts_m: impact points of collisions between background vehicles.
         start_s: first moment that is drawn.
-        end_s: last moment.
+        end_s: last moment that is drawn.
         attacker: id of the vehicle in the attacker's colour, or None.
-        partner: whether the target collided with it; else it is who came nearest.
+        partner: whether it is the target's collision partner; else it is the vehicle that came nearest.
     """
 
     view: NetWindow
@@ -110,9 +111,9 @@ def picture_of(
         states: of the episode.
         row: its row of ``episodes.parquet``.
         collisions: its rows of ``collisions.parquet``.
-        layer: the net, or None to draw without.
-        view: what it covers; None: the target's way, and the attacker's near it.
-        attacker: id of who gets the attacker's colour; None: as the row tells.
+        layer: the net; None: no streets are drawn.
+        view: area of the picture; None: the target's path, and the attacker's near it.
+        attacker: id of the vehicle in the attacker's colour; None: see :func:`attacker_of`.
     """
     full = states.tracks
     tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
@@ -130,7 +131,7 @@ def picture_of(
         trails=_trails(tracks, states.target, other, view),
         boxes=_boxes(tracks, states.target, other, view),
         impact_m=impact,
-        other_impacts_m=_between_others(collisions),
+        other_impacts_m=_other_impacts(collisions),
         start_s=tracks.t0_s,
         end_s=full.t0_s + full.dt_s * (full.steps - 1),
         attacker=None if other is None else attacker,
@@ -139,7 +140,7 @@ def picture_of(
 
 
 def focus_of(states: EpisodeStates, attacker: str | None) -> FloatArray:
-    """Return the points (N, 2) that a view of *states* must show: the target's way, the attacker's where it is near."""
+    """Return the points (N, 2) that a view of *states* must include: the target's path, the attacker's near it."""
     other = None if attacker is None else states.tracks.index.get(attacker)
     return focus_points(states.tracks, states.target, other, None)
 
@@ -151,60 +152,61 @@ def impact_of(row: Mapping[str, Any]) -> FloatArray | None:
     return np.array([row["impact_x_m"], row["impact_y_m"]], dtype=np.float64)
 
 
-def _between_others(collisions: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, ...]:
+def _other_impacts(collisions: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, ...]:
     points = (impact_of(c) for c in collisions if not c["with_target"] and not c["initial"])
     return tuple(point for point in points if point is not None)
 
 
 def focus_points(tracks: Tracks, target: int, other: int | None, impact: FloatArray | None) -> FloatArray:
-    """Return the points (N, 2) that the view must show: the target's way, the attacker's where it is near."""
-    parts = [tracks.xy_m[target]]
+    """Return the points (N, 2) that a view must include: the target's path, the attacker's near it, the impact."""
+    points = [tracks.xy_m[target]]
     if other is not None:
-        away = np.linalg.norm(tracks.xy_m[other] - tracks.xy_m[target], axis=-1)
-        parts.append(tracks.xy_m[other][away <= ATTACKER_NEAR_M])
+        distance_m = np.linalg.norm(tracks.xy_m[other] - tracks.xy_m[target], axis=-1)
+        points.append(tracks.xy_m[other][distance_m <= ATTACKER_NEAR_M])
     if impact is not None:
-        parts.append(impact[None])
-    return np.concatenate(parts)
+        points.append(impact[None])
+    return np.concatenate(points)
 
 
 def _close_up(
     tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float
 ) -> NetWindow:
-    after = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))  # instant at or after the contact
-    stop = min(max(after, 0) + 1, tracks.steps)
-    last = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
-    focus = focus_points(last, target, other, impact)
+    # the first instant at or after the contact
+    contact_step = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))
+    stop = min(max(contact_step, 0) + 1, tracks.steps)
+    last_seconds = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
+    focus = focus_points(last_seconds, target, other, impact)
     return NetWindow.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
 
 
 def _trails(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Trail, ...]:
     trails = []
     for row in _drawing_order(tracks, target, other):
-        there = np.isfinite(tracks.xy_m[row]).all(axis=1)
-        for line in (tracks.xy_m[row, a:b] for a, b in stretches(there) if b - a > 1):
-            cut = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
-            pieces = [p for p in shapely.get_parts(cut) if p.geom_type == "LineString" and not p.is_empty]
+        is_present = np.isfinite(tracks.xy_m[row]).all(axis=1)
+        for line in (tracks.xy_m[row, a:b] for a, b in stretches(is_present) if b - a > 1):
+            clipped = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
+            pieces = [p for p in shapely.get_parts(clipped) if p.geom_type == "LineString" and not p.is_empty]
             trails += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
     return tuple(trails)
 
 
 def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Box, ...]:
-    every = max(1, round(BOX_SPACING_S / tracks.dt_s))
-    first = round(tracks.t0_s / tracks.dt_s)
-    last = tracks.steps - 1
-    moments = [k for k in range(last) if (first + k) % every == 0] + [last]
+    box_stride = max(1, round(BOX_SPACING_S / tracks.dt_s))
+    first_step = round(tracks.t0_s / tracks.dt_s)
+    last_step = tracks.steps - 1
+    box_steps = [k for k in range(last_step) if (first_step + k) % box_stride == 0] + [last_step]
     labelled: dict[int, FloatArray] = {}
     boxes = []
-    for k in moments:
+    for k in box_steps:
         for row in _drawing_order(tracks, target, other):
             role = _role(row, target, other)
             if (
                 tracks.valid[row, k]
-                and (role is not Role.OTHER or k == last)
+                and (role is not Role.OTHER or k == last_step)
                 and _inside(tracks.xy_m[row, k], view)
             ):
                 text = _label(tracks, row, k, labelled) if role is not Role.OTHER else ""
-                age = (last - k) / max(last, 1)
+                age = (last_step - k) / max(last_step, 1)
                 outline = corners(tracks.xy_m[row, k], tracks.yaw_rad[row, k], tracks.size_m[row])
                 side = _label_side(tracks, row, k, target, other)
                 boxes.append(Box(role, outline, age, text, tracks.xy_m[row, k], side))
@@ -212,28 +214,28 @@ def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> t
 
 
 def _label(tracks: Tracks, row: int, k: int, labelled: dict[int, FloatArray]) -> str:
-    """Return the time of a box, "" when the agent's last labelled box is too near."""
-    place = tracks.xy_m[row, k]
-    if row in labelled and np.linalg.norm(place - labelled[row]) < _LABEL_SPACING_M:
+    """Return the time of a box, "" if the agent's last labelled box is too near."""
+    xy_m = tracks.xy_m[row, k]
+    if row in labelled and np.linalg.norm(xy_m - labelled[row]) < _LABEL_SPACING_M:
         return ""
-    labelled[row] = place
+    labelled[row] = xy_m
     return f"{tracks.times_s[k]:.1f}".removesuffix(".0")
 
 
 def _label_side(tracks: Tracks, row: int, k: int, target: int, other: int | None) -> FloatArray:
-    """Return the side (2,) on which a label stands.
+    """Return the direction (2,) from a box to its label.
 
-    Target and attacker that are near have theirs on the sides away from each other; else it is the right, and
-    the left of those who drive as the target does.
+    The labels of target and attacker that are near each other point away from each other. Otherwise labels are on the
+    right, of vehicles in the target's direction on the left.
     """
     yaw = tracks.yaw_rad[row, k]
     right = np.array([np.sin(yaw), -np.cos(yaw)])
-    rival = other if row == target else target
-    between = np.full(2, np.nan) if rival is None else tracks.xy_m[rival, k] - tracks.xy_m[row, k]
-    if abs(between @ right) > _BESIDE_M and np.hypot(*between) < _RIVAL_NEAR_M:
-        return right if between @ right < 0.0 else -right
-    alike = row != target and np.cos(yaw - tracks.yaw_rad[target, k]) > 0.0
-    return right * (-1.0 if alike else 1.0)
+    opponent = other if row == target else target
+    to_opponent = np.full(2, np.nan) if opponent is None else tracks.xy_m[opponent, k] - tracks.xy_m[row, k]
+    if abs(to_opponent @ right) > _MIN_LATERAL_M and np.hypot(*to_opponent) < _LABELS_APART_WITHIN_M:
+        return right if to_opponent @ right < 0.0 else -right
+    same_direction = row != target and np.cos(yaw - tracks.yaw_rad[target, k]) > 0.0
+    return right * (-1.0 if same_direction else 1.0)
 
 
 def _inside(xy_m: FloatArray, view: NetWindow) -> bool:

@@ -1,4 +1,4 @@
-"""Each episode's part of the page: its picture, and what the player needs of it."""
+"""Makes each episode's part of the page: its picture and its data for the player."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.near_miss import resolved
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.severity import badge, is_failure
-from advdiff_sumo.report.blocks import departed, episode_block
+from advdiff_sumo.report.blocks import deviating_tracks, episode_block
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.charts import Chart, charts_of
 from advdiff_sumo.report.folder import FinishedRun, Row
@@ -27,9 +27,9 @@ from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import svg_picture
 from advdiff_sumo.report.templates import further_offences, number, templates, title, words
 
-#: Pictures beyond this many bytes are left out, the least severe episodes first.
+#: Pictures beyond this number of bytes are left out, the least severe episodes first.
 PICTURE_BYTES = 6_000_000
-#: The same for what the player shows; streets come on top.
+#: The same for the player's episodes; streets are extra.
 PLAYED_BYTES = 18_000_000
 
 
@@ -40,11 +40,11 @@ class Section:
     Attributes:
         episode: its number.
         net: name of its net.
-        html: its picture and facts; "" where it gets none.
-        block: its states for the player; "" where there are none or no room.
-        facts: what the player says about it.
-        target_xy_m: (T, 2) where the target drove.
-        left_out: its picture was left out for want of room.
+        html: its picture and facts; "" without picture.
+        block: its states for the player; "" if there are none or the player is full.
+        facts: texts and figures for the player.
+        target_xy_m: (T, 2) path of the target.
+        left_out: whether its picture was left out because of the limit of size.
     """
 
     episode: int
@@ -57,13 +57,13 @@ class Section:
 
 
 class _Budget:
-    """Bytes that may still be used; the first piece always fits."""
+    """A limit of bytes; the first text always fits."""
 
     def __init__(self, most: int) -> None:
         self.most, self.used, self.full = most, 0, False
 
-    def takes(self, text: str) -> bool:
-        """Return whether *text* fits, and count it; after the first that does not, nothing fits."""
+    def accepts(self, text: str) -> bool:
+        """Return whether *text* fits, and count its bytes; after the first text that does not fit, none fits."""
         size = len(text.encode())
         self.full = self.full or (self.used > 0 and self.used + size > self.most)
         self.used += 0 if self.full else size
@@ -75,9 +75,9 @@ class Sections:
 
     Args:
         run: the run.
-        nets: for the streets.
-        naturals: for what happened without attack.
-        labels: names of targets and backgrounds.
+        nets: layers of its nets.
+        naturals: natural counterparts of its episodes.
+        labels: of targets and backgrounds.
         places: names of the nets in the order of their numbers on the page.
     """
 
@@ -94,17 +94,17 @@ class Sections:
         self._template = templates().get_template("episode.html")
         self._pictures, self._played = _Budget(PICTURE_BYTES), _Budget(PLAYED_BYTES)
 
-    def of(self, ordered: Sequence[Row]) -> Iterator[Section]:
-        """Yield the sections of *ordered* episodes, worst first; empty ones where there is no more room."""
-        drawn = {int(row["episode"]) for row in pictured(ordered)}
+    def make(self, ordered: Sequence[Row]) -> Iterator[Section]:
+        """Yield the sections of *ordered* episodes, worst first; empty ones once the limits are reached."""
+        pictured_episodes = {int(row["episode"]) for row in pictured(ordered)}
         for row in ordered:
-            wanted = int(row["episode"]) in drawn
-            if self._played.full and (self._pictures.full or not wanted):
-                yield Section(int(row["episode"]), str(row["net"]), left_out=wanted)
+            gets_picture = int(row["episode"]) in pictured_episodes
+            if self._played.full and (self._pictures.full or not gets_picture):
+                yield Section(int(row["episode"]), str(row["net"]), left_out=gets_picture)
             else:
-                yield self._section(row, wanted)
+                yield self._section(row, gets_picture)
 
-    def _section(self, row: Row, wanted: bool) -> Section:
+    def _section(self, row: Row, gets_picture: bool) -> Section:
         episode, net = int(row["episode"]), str(row["net"])
         states, contacts = self._run.states(episode), self._run.collisions_of(episode)
         if states is None:
@@ -115,24 +115,24 @@ class Sections:
                 labels=self._labels,
                 tail=self._run.log_tails.get(episode),
             )
-            fits = wanted and self._pictures.takes(html)
-            return Section(episode, net, html if fits else "", left_out=wanted and not fits)
+            fits = gets_picture and self._pictures.accepts(html)
+            return Section(episode, net, html if fits else "", left_out=gets_picture and not fits)
         attacker = attacker_of(row)
         layer = self._nets.layer(net)
         drive = None if layer is None else drive_of(self._run, row, states, layer.road)
         series = series_of(states, attacker, drive)
         charts = charts_of(series, row["collision_time_s"])
-        html = self._html(row, states, charts, contacts) if wanted and not self._pictures.full else ""
-        fits = bool(html) and self._pictures.takes(html)
+        html = self._html(row, states, charts, contacts) if gets_picture and not self._pictures.full else ""
+        fits = bool(html) and self._pictures.accepts(html)
         block = "" if self._played.full else self._block(row, states, attacker, series, drive)
         return Section(
             episode=episode,
             net=net,
             html=html if fits else "",
-            block=block if block and self._played.takes(block) else "",
+            block=block if block and self._played.accepts(block) else "",
             facts=self._facts(row, charts, contacts),
             target_xy_m=states.tracks.xy_m[states.target],
-            left_out=wanted and not fits,
+            left_out=gets_picture and not fits,
         )
 
     def _block(
@@ -144,12 +144,14 @@ class Sections:
         drive: ReferenceDrive | None,
     ) -> str:
         plans = self._run.plans(int(row["episode"]))
-        careful = None if drive is None else tracks_of(drive, states)
-        return episode_block(states, attacker, series, self._ghosts(row, states), plans, careful)
+        careful_tracks = None if drive is None else tracks_of(drive, states)
+        return episode_block(
+            states, attacker, series, self._natural_tracks(row, states), plans, careful_tracks
+        )
 
-    def _ghosts(self, row: Row, states: EpisodeStates) -> Tracks | None:
-        natural = self._naturals.of(row)
-        return None if natural is None else departed(states, natural)
+    def _natural_tracks(self, row: Row, states: EpisodeStates) -> Tracks | None:
+        natural = self._naturals.natural_tracks(row)
+        return None if natural is None else deviating_tracks(states, natural)
 
     def _html(self, row: Row, states: EpisodeStates, charts: Sequence[Chart], contacts: Sequence[Row]) -> str:
         picture = picture_of(states, row, contacts, self._nets.layer(str(row["net"])))
@@ -166,12 +168,12 @@ class Sections:
 
     def _facts(self, row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict[str, Any]:
         net, key = str(row["net"]), str(row["key"])
-        where = (
+        description = (
             f"{self._labels.target(row)} in {self._labels.background(row)} traffic, seed scene {row['scene']}"
         )
         return {
             **facts_of(row, charts, contacts),
-            "line": where,
+            "line": description,
             "command": f"advdiff-sumo replay {key} --sweep ."
             if key
             else f"advdiff-sumo replay {row['episode']} --run .",
@@ -180,9 +182,9 @@ class Sections:
 
 
 def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict[str, Any]:
-    """Return what the player says about one episode, as plain values."""
-    hit = bool(row["target_collision"])
-    contact = row["collision_time_s"] if hit else None
+    """Return the texts and figures of one episode for the player, as plain values."""
+    has_collided = bool(row["target_collision"])
+    contact = row["collision_time_s"] if has_collided else None
     moment = contact if contact is not None else row["min_clearance_time_s"]
     others = [c for c in contacts if not c["with_target"] and not c["initial"]]
     return {
@@ -190,19 +192,21 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
         "title": f"Episode {row['episode']}: {title(row)}",
         "badge": badge(row),
         "verdict": _verdict(row),
-        "fault": str(row["at_fault"] or "") if hit else "",
+        "fault": str(row["at_fault"] or "") if has_collided else "",
         "hit": bool(row["collision_partner"]),
         "contact": contact,
         "moment": 0.0 if moment is None else float(moment),
-        "momentName": "Contact" if hit else "Nearest",
-        "impact": [row["impact_x_m"], row["impact_y_m"]] if hit and row["impact_x_m"] is not None else None,
+        "momentName": "Contact" if has_collided else "Nearest",
+        "impact": [row["impact_x_m"], row["impact_y_m"]]
+        if has_collided and row["impact_x_m"] is not None
+        else None,
         "others": [[c["impact_x_m"], c["impact_y_m"], c["time_s"]] for c in others],
         "charts": {chart.title.rpartition(" (")[0]: chart.summary for chart in charts},
     }
 
 
 def _verdict(row: Row) -> str:
-    """Return what came of it, and which rules the target broke of itself."""
+    """Return the outcome of an episode, and the rules that the target broke apart from its collision."""
     return " ".join(f"{_outcome(row)} {further_offences(row)}".split())
 
 

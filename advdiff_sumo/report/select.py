@@ -1,4 +1,4 @@
-"""Which episodes get a picture, and who of the others matters in them."""
+"""Selects the episodes that get a picture, and the vehicle shown as attacker in each."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from advdiff_sumo.metrics.severity import Row, is_failure
 
-#: Episodes with neither collision nor failure that get a picture.
+#: Number of episodes with neither collision nor failure that get a picture.
 UNEVENTFUL_SHOWN = 20
 
 
@@ -16,17 +16,17 @@ def is_eventful(row: Row) -> bool:
 
 
 def pictured(ordered: Iterable[Row]) -> list[Row]:
-    """Return the episodes that get a picture: all eventful ones and the worst of the others, order kept."""
-    chosen, uneventful = [], 0
+    """Return the episodes that get a picture, in order: all eventful ones, and the first of the others."""
+    selected, uneventful = [], 0
     for row in ordered:
         uneventful += not is_eventful(row)
         if is_eventful(row) or uneventful <= UNEVENTFUL_SHOWN:
-            chosen.append(row)
-    return chosen
+            selected.append(row)
+    return selected
 
 
 def attacker_of(row: Row) -> str | None:
-    """Return the target's collision partner, or else who came nearest to it in time or space; None when nobody did."""
+    """Return the target's collision partner, else the vehicle nearest to it in time, else in space; or None."""
     for column in ("collision_partner", "min_ttc_partner", "min_clearance_partner"):
         if row[column]:
             return str(row[column])

@@ -1,4 +1,4 @@
-"""One episode of a folder with all that is needed to draw it."""
+"""Reads one episode of a folder with all data that are needed to draw it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.severity import worst_first
-from advdiff_sumo.report.blocks import departed
+from advdiff_sumo.report.blocks import deviating_tracks
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.nets import NetLayers
@@ -27,14 +27,14 @@ _MARGIN_M, _LEAST_WIDTH_M = 10.0, 45.0
 
 @dataclass(frozen=True)
 class ChosenEpisode:
-    """An episode that was asked for.
+    """The episode to draw.
 
     Attributes:
         row: its row of ``episodes.parquet``.
-        states: who was where.
+        states: its states.
         collisions: its rows of ``collisions.parquet``.
-        layer: the net; None when it is not there.
-        natural: what happened in its seed scene without attack, where that is known and differs.
+        layer: the net; None if it is missing.
+        natural: tracks in its seed scene without attack, of the target and of those that differ; None if unknown.
     """
 
     row: Row
@@ -45,7 +45,7 @@ class ChosenEpisode:
 
     @staticmethod
     def read(folder: Path, episode: int | None) -> ChosenEpisode:
-        """Read *episode* of the run or sweep in *folder*; without a number its worst one.
+        """Read *episode* of the run or sweep in *folder*; None: its worst one.
 
         Raises:
             FileError: there is no such run, episode, or no states of it.
@@ -57,63 +57,64 @@ class ChosenEpisode:
         states = run.states(int(row["episode"]))
         if states is None:
             raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")
-        natural_tracks = ReferenceEpisodes(run).of(row)
-        natural = None if natural_tracks is None else departed(states, natural_tracks)
+        natural_tracks = ReferenceEpisodes(run).natural_tracks(row)
+        natural = None if natural_tracks is None else deviating_tracks(states, natural_tracks)
         layer = NetLayers(run).layer(str(row["net"]))
         return ChosenEpisode(row, states, run.collisions_of(int(row["episode"])), layer, natural)
 
     @property
     def attacker(self) -> int | None:
-        """Row of the target's collision partner, or of who came nearest to it, or None."""
+        """Row of the target's collision partner, else of the vehicle that came nearest to it, or None."""
         name = attacker_of(self.row)
         return None if name is None else self.states.tracks.index.get(name)
 
     @property
     def contact_s(self) -> float | None:
-        """When the target collided or left the road, or None."""
+        """Time at which the target collided or left the road, or None."""
         return float(self.row["collision_time_s"]) if self.row["target_collision"] else None
 
     @property
     def impact_m(self) -> FloatArray | None:
-        """(2,) where, or None."""
+        """(2,) place at which the target collided or left the road, or None."""
         return impact_of(self.row) if self.row["target_collision"] else None
 
     def span_s(self, start_s: float | None, end_s: float | None, most_s: float) -> tuple[float, float]:
-        """Return the stretch to draw: as asked, else up to the contact, or 1 s beyond the least distance.
+        """Return begin and end of the span to draw.
 
         Args:
-            start_s: as asked, or None.
-            end_s: as asked, or None.
-            most_s: length where no start was asked.
+            start_s: requested begin; None: *most_s* before the end.
+            end_s: requested end; None: the contact, or 1 s after the least distance, or the end of the episode.
+            most_s: longest duration without a requested begin.
 
         Raises:
-            ConfigError: what was asked is not in the episode.
+            ConfigError: the requested span is not in the episode.
         """
-        last = float(self.states.tracks.times_s[-1])
-        if last <= 0.0 and self.row["end"] == "failed":
+        last_s = float(self.states.tracks.times_s[-1])
+        if last_s <= 0.0 and self.row["end"] == "failed":
             raise ConfigError(f"the episode failed before it began: {self.row['failure_message']}")
-        nearest = self.row["min_clearance_time_s"]
-        moment = self.contact_s if self.contact_s is not None else None if nearest is None else nearest + 1.0
-        end = end_s if end_s is not None else min(last, last if moment is None else float(moment))
+        nearest_s = self.row["min_clearance_time_s"]
+        after_nearest_s = None if nearest_s is None else nearest_s + 1.0
+        event_s = self.contact_s if self.contact_s is not None else after_nearest_s
+        end = end_s if end_s is not None else min(last_s, last_s if event_s is None else float(event_s))
         start = start_s if start_s is not None else max(0.0, end - most_s)
-        if not 0.0 <= start < end <= last + 1e-6:
+        if not 0.0 <= start < end <= last_s + 1e-6:
             asked = f"{start:g} to {end:g} s"
-            raise ConfigError(f"{asked} is no stretch of the episode; it lasts from 0 to {last:g} s")
+            raise ConfigError(f"{asked} is no stretch of the episode; it lasts from 0 to {last_s:g} s")
         return start, end
 
     def view(self, start_s: float, end_s: float, aspect: float) -> NetWindow:
-        """Return the view of the target's way from *start_s* to *end_s*, and of the attacker's near to it."""
+        """Return the view of the target's path from *start_s* to *end_s*, and of the attacker's near it."""
         steps = self.steps(start_s, end_s)
-        shown = self.states.tracks.window(steps.start, steps.stop)
-        points = focus_points(shown, self.states.target, self.attacker, self.impact_m)
+        tracks = self.states.tracks.window(steps.start, steps.stop)
+        points = focus_points(tracks, self.states.target, self.attacker, self.impact_m)
         return NetWindow.around(points, _MARGIN_M, _LEAST_WIDTH_M, aspect)
 
     def view_at(self, moment_s: float, width_m: float = _LEAST_WIDTH_M) -> NetWindow:
         """Return a square view of the target at *moment_s*, and of the attacker if near, at least *width_m* wide."""
-        places = poses_at(self.states.tracks, moment_s)[0]
+        xy_m = poses_at(self.states.tracks, moment_s)[0]
         rows = [self.states.target] if self.attacker is None else [self.states.target, self.attacker]
-        near = np.linalg.norm(places[rows] - places[self.states.target], axis=-1) <= ATTACKER_NEAR_M
-        return NetWindow.around(places[rows][near], _MARGIN_M, width_m, aspect=1.0)
+        is_near = np.linalg.norm(xy_m[rows] - xy_m[self.states.target], axis=-1) <= ATTACKER_NEAR_M
+        return NetWindow.around(xy_m[rows][is_near], _MARGIN_M, width_m, aspect=1.0)
 
     def steps(self, start_s: float, end_s: float) -> slice:
         """Return the instants from *start_s* to *end_s*."""
@@ -122,12 +123,12 @@ class ChosenEpisode:
 
 
 def poses_at(tracks: Tracks, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return (A, 2) positions and (A,) headings at *time_s*, between instants in proportion; NaN when absent."""
-    place = (time_s - tracks.t0_s) / tracks.dt_s
-    k = int(np.clip(np.floor(place + 1e-6), 0, tracks.steps - 1))
-    after, share = min(k + 1, tracks.steps - 1), float(np.clip(place - k, 0.0, 1.0))
+    """Return positions (A, 2) and headings (A,) at *time_s*, interpolated linearly; NaN for absent agents."""
+    step = (time_s - tracks.t0_s) / tracks.dt_s
+    k = int(np.clip(np.floor(step + 1e-6), 0, tracks.steps - 1))
+    next_step, share = min(k + 1, tracks.steps - 1), float(np.clip(step - k, 0.0, 1.0))
     if share < 1e-6:
         return tracks.xy_m[:, k], tracks.yaw_rad[:, k]
-    xy = (1.0 - share) * tracks.xy_m[:, k] + share * tracks.xy_m[:, after]
-    turn = np.angle(np.exp(1j * (tracks.yaw_rad[:, after] - tracks.yaw_rad[:, k])))
-    return xy, tracks.yaw_rad[:, k] + share * turn
+    xy = (1.0 - share) * tracks.xy_m[:, k] + share * tracks.xy_m[:, next_step]
+    yaw_change = np.angle(np.exp(1j * (tracks.yaw_rad[:, next_step] - tracks.yaw_rad[:, k])))
+    return xy, tracks.yaw_rad[:, k] + share * yaw_change

@@ -1,4 +1,4 @@
-"""What the charts under an episode's picture show, instant by instant."""
+"""Computes the values of the charts of an episode at each instant."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from advdiff_sumo.metrics.reference import ReferenceDrive
 
 @dataclass(frozen=True)
 class Series:
-    """Values (T,) at the instants of an episode; NaN where there is none.
+    """Values (T,) at the instants of an episode; NaN where a value is undefined.
 
     Attributes:
         times_s: since the episode's start.
         speed_mps: of the target.
         attacker_mps: speed of the attacker; NaN without one.
-        accel_mps2: longitudinal acceleration of the target over the step before, as recorded.
-        jerk_mps3: change of ``accel_mps2`` from the step before.
-        attacker_accel_mps2: acceleration of the attacker, likewise; NaN without one.
-        reference_mps: speed of the careful driver in the target's place; NaN before it takes over, or without one.
+        accel_mps2: change of the target's speed over the step that ends at the instant, per second.
+        jerk_mps3: change of ``accel_mps2`` over that step, per second.
+        attacker_accel_mps2: the same as ``accel_mps2`` of the attacker; NaN without one.
+        reference_mps: speed of the careful driver in the target's place; NaN before its takeover, or without one.
         reference_accel_mps2: its acceleration.
         gap_m: distance between the target's box and the nearest other one.
         ttc_s: least time to collision of boxes at constant velocity, up to 10 s.
@@ -43,7 +43,7 @@ class Series:
 
 
 def series_of(states: EpisodeStates, attacker: str | None, drive: ReferenceDrive | None = None) -> Series:
-    """Return the series of one episode; *attacker* is an id or None, *drive* that of the careful driver."""
+    """Return the series of one episode; *attacker* is an id or None, *drive* the motion of the careful driver."""
     tracks, target = states.tracks, states.target
     row = None if attacker is None else tracks.index.get(attacker)
     attacker_mps = np.full(tracks.steps, np.nan) if row is None else tracks.speed_mps[row]
@@ -58,21 +58,21 @@ def series_of(states: EpisodeStates, attacker: str | None, drive: ReferenceDrive
         reference_mps=_from_takeover(tracks, drive, None if drive is None else drive.states.speed_mps),
         reference_accel_mps2=_from_takeover(tracks, drive, None if drive is None else drive.accel_mps2),
         gap_m=nearest_gap(tracks, target),
-        ttc_s=_least(time_to_collision(tracks, target)),
+        ttc_s=_nan_minimum(time_to_collision(tracks, target)),
     )
 
 
 def _from_takeover(tracks: Tracks, drive: ReferenceDrive | None, values: FloatArray | None) -> FloatArray:
-    """Return (T,) *values* of *drive* at the episode's instants; NaN before it."""
-    series = np.full(tracks.steps, np.nan)
+    """Return *values* of *drive* at the episode's instants (T,); NaN before its takeover."""
+    aligned = np.full(tracks.steps, np.nan)
     if drive is not None and values is not None:
         count = min(len(values), tracks.steps - drive.takeover_step)
-        series[drive.takeover_step : drive.takeover_step + count] = values[:count]
-    return series
+        aligned[drive.takeover_step : drive.takeover_step + count] = values[:count]
+    return aligned
 
 
 def difference_quotient(values: FloatArray, dt_s: float) -> FloatArray:
-    """Return (T,) changes of *values* (T,) per second over the step that ends at each instant.
+    """Return the changes (T,) of *values* (T,) per second over the step that ends at each instant.
 
     NaN at the first instant, and where the instant or the one before it has no value.
     """
@@ -80,18 +80,18 @@ def difference_quotient(values: FloatArray, dt_s: float) -> FloatArray:
 
 
 def nearest_gap(tracks: Tracks, target: int) -> FloatArray:
-    """Return (T,) distances between the target's box and the nearest other one; 0 when they overlap.
+    """Return the distances (T,) between the target's box and the nearest other one; 0 if they overlap.
 
     NaN where the target or all others are absent.
     """
-    return _least(clearances(tracks, target))
+    return _nan_minimum(clearances(tracks, target))
 
 
 def gap_to(tracks: Tracks, target: int, other: int) -> FloatArray:
-    """Return (T,) distances between the boxes of *target* and *other*; NaN where one of them is absent."""
+    """Return the distances (T,) between the boxes of *target* and *other*; NaN where one of them is absent."""
     return nearest_gap(tracks.rows(np.array([target, other])), 0)
 
 
-def _least(values: FloatArray) -> FloatArray:
+def _nan_minimum(values: FloatArray) -> FloatArray:
     least = np.where(np.isfinite(values), values, np.inf).min(axis=0)
     return np.where(np.isfinite(least), least, np.nan)

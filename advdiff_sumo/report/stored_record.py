@@ -1,4 +1,4 @@
-"""Turns the tables of a folder back into the record of an episode, as far as they tell."""
+"""Rebuilds the record of an episode from the tables of a folder, as far as they contain it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def stored_record(
 ) -> EpisodeRecord | None:
     """Return the record of one episode; None without a target.
 
-    What the folder does not hold is left empty: routes and signals of earlier versions, plans, failures.
+    Missing data stay empty: plans, failures, and in folders of earlier versions routes and signals.
 
     Args:
         states: rows of ``states.parquet`` of the episode.
@@ -37,7 +37,7 @@ def stored_record(
 def record_of_states(
     episode: EpisodeStates, row: Mapping[str, Any], signals: pa.Table | None
 ) -> EpisodeRecord:
-    """Return the record of one episode, arguments as above; who moved whom is not looked at."""
+    """Return the record of one episode, with the arguments of :func:`stored_record`; all present agents are SUMO's."""
     return EpisodeRecord(
         episode=int(row.get("episode") or 0),
         seed=int(row.get("seed") or 0),
@@ -52,16 +52,16 @@ def record_of_states(
 
 
 def _controllers(states: pa.Table, shape: tuple[int, ...], index: Mapping[str, int]) -> Any:
-    who = np.full(shape, Controller.ABSENT, dtype=np.int64)
+    controllers = np.full(shape, Controller.ABSENT, dtype=np.int64)
     if "controller" in states.column_names:
-        columns = (states[name].to_pylist() for name in ("agent", "step", "controller"))
-        for name, step, mover in zip(*columns, strict=True):
-            who[index[name], step] = Controller[mover.upper()]
-    return who
+        columns = (states[agent_id].to_pylist() for agent_id in ("agent", "step", "controller"))
+        for agent_id, step, controller in zip(*columns, strict=True):
+            controllers[index[agent_id], step] = Controller[controller.upper()]
+    return controllers
 
 
 def _signals(table: pa.Table | None, steps: int) -> tuple[Mapping[str, str], ...]:
-    """Return what the lights show at each of *steps* instants; () where nothing is known."""
+    """Return the states of the traffic lights at each of *steps* instants; () if they are unknown."""
     if table is None or not table.num_rows:
         return ()
     changes: dict[int, dict[str, str]] = {}

@@ -1,7 +1,7 @@
-"""Film strips of an episode as the paper shows its scenarios.
+"""Draws film strips of an episode, as in the paper's figures (AdvDiffuser, illustration of accident-prone scenarios).
 
-Original trajectories are pale, those of the episode are linked circles; boxes stand where everybody is at the
-panel's time. Target green, attacker orange (AdvDiffuser, illustration of accident-prone scenarios).
+Original trajectories are pale; those of the episode are linked circles. Boxes show all road users at the panel's time,
+the target in green, the attacker in orange.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from advdiff_sumo.report.layer import NetWindow
 from advdiff_sumo.report.scene_picture import Role
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
-#: Length of a strip where no start is asked for, and spacing of its circles: the model's step.
+#: Default duration of a strip, and spacing of its circles: the model's step.
 STRIP_S, CIRCLES_S = 6.0, 0.5
 _PANEL_IN, _LEGEND_IN = 3.1, 0.34
 _PALE = "#ffffff"
-_WIDEST_M = 90.0
-"""Where the ways of a strip need more, each panel shows where the two are then: a car would be a dot."""
+_WIDEST_COMMON_VIEW_M = 90.0
+"""If the common view of all panels is wider, each panel has a view of its own, so that cars stay visible."""
 
 
 def film_strip(
@@ -54,13 +54,13 @@ def film_strip(
         folder: of a finished run or sweep.
         episode: its number; None for the worst.
         path: the file to write.
-        panels: how many moments, evenly spaced; the last one is the contact or the end.
+        panels: number of moments, evenly spaced up to the last one.
         start_s: first moment; None for ``STRIP_S`` before the last.
         end_s: last moment; None for the contact, or 1 s after the least distance.
 
     Raises:
         FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.
-        ConfigError: the stretch is not in the episode.
+        ConfigError: the span is not in the episode.
     """
     check_ending(path, (".svg", ".png"))
     chosen = ChosenEpisode.read(folder, episode)
@@ -81,21 +81,21 @@ def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> 
         axes = drawn.add_axes((left, _LEGEND_IN / height, share, 1.0 - _LEGEND_IN / height))
         frame_axes(axes, view)
         axes.set_facecolor(GROUND)
-        _panel(axes, chosen, view, start_s, moment)
-    _legend(drawn, chosen)
+        _draw_panel(axes, chosen, view, start_s, moment)
+    _draw_legend(drawn, chosen)
     return drawn
 
 
 def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[NetWindow]:
-    """Return what each panel shows, all at one scale."""
-    whole = chosen.view(start_s, moments_s[-1], aspect=1.0)
-    if whole.width_m <= _WIDEST_M:
-        return [whole] * len(moments_s)
+    """Return the view of each panel, all at the same scale."""
+    common_view = chosen.view(start_s, moments_s[-1], aspect=1.0)
+    if common_view.width_m <= _WIDEST_COMMON_VIEW_M:
+        return [common_view] * len(moments_s)
     width_m = max(chosen.view_at(moment).width_m for moment in moments_s)
     return [chosen.view_at(moment, width_m) for moment in moments_s]
 
 
-def _panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, moment_s: float) -> None:
+def _draw_panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, moment_s: float) -> None:
     tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
     if chosen.layer is not None:
         draw_streets(axes, chosen.layer.streets(view, tolerance_m=0.05), 72.0 * _PANEL_IN / view.width_m)
@@ -105,11 +105,11 @@ def _panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, m
             axes.plot(*line.T, color=_PALE, linewidth=2.0, zorder=3.1, solid_capstyle="round")
     for row, role in ((attacker, Role.ATTACKER), (target, Role.TARGET)):
         if row is not None:
-            _circles(axes, chosen, row, COLOURS[role], start_s, moment_s)
+            _draw_circles(axes, chosen, row, COLOURS[role], start_s, moment_s)
     xy, yaw = poses_at(tracks, moment_s)
-    there = np.flatnonzero(np.isfinite(xy).all(axis=1))
-    for row in [r for r in there.tolist() if r not in (target, attacker)] + [attacker, target]:
-        if row is None or row not in there:
+    present_rows = np.flatnonzero(np.isfinite(xy).all(axis=1))
+    for row in [r for r in present_rows.tolist() if r not in (target, attacker)] + [attacker, target]:
+        if row is None or row not in present_rows:
             continue
         role = Role.TARGET if row == target else Role.ATTACKER if row == attacker else Role.OTHER
         outline = corners(xy[row], yaw[row], tracks.size_m[row])
@@ -125,19 +125,19 @@ def _panel(axes: Axes, chosen: ChosenEpisode, view: NetWindow, start_s: float, m
     label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0})
 
 
-def _circles(
+def _draw_circles(
     axes: Axes, chosen: ChosenEpisode, row: int, colour: str, start_s: float, moment_s: float
 ) -> None:
-    """Draw where an agent was every ``CIRCLES_S``, linked, the older the paler."""
+    """Draw an agent's positions every ``CIRCLES_S`` as linked circles, older ones paler."""
     times = np.arange(start_s, moment_s + 1e-6, CIRCLES_S)
-    way = np.stack([poses_at(chosen.states.tracks, float(t))[0][row] for t in times])
-    axes.plot(*way.T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
-    for k, point in enumerate(way):
-        strength = 0.35 + 0.65 * (k + 1) / len(way)
-        axes.plot(*point, "o", color=colour, alpha=strength, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
+    path = np.stack([poses_at(chosen.states.tracks, float(t))[0][row] for t in times])
+    axes.plot(*path.T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
+    for k, point in enumerate(path):
+        alpha_ = 0.35 + 0.65 * (k + 1) / len(path)
+        axes.plot(*point, "o", color=colour, alpha=alpha_, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
 
 
-def _legend(drawn: Figure, chosen: ChosenEpisode) -> None:
+def _draw_legend(drawn: Figure, chosen: ChosenEpisode) -> None:
     hit = chosen.contact_s is not None
     names = {
         Role.TARGET: "target",

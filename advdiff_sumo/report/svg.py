@@ -1,4 +1,4 @@
-"""Pictures as SVG path data: whole centimetres, y down, relative to the picture's upper left corner."""
+"""Converts pictures to SVG path data: whole centimetres, y down, relative to the picture's upper left corner."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CM = 100.0
 
 @dataclass(frozen=True)
 class SvgBox:
-    """One box: class names for the style sheet, whether it is of an earlier moment, opacity, outline and nose."""
+    """One box: role as class name, whether it is of an earlier moment, opacity, path of outline and heading line."""
 
     role: str
     past: bool
@@ -36,7 +36,7 @@ class SvgLabel:
 
 @dataclass(frozen=True)
 class SvgPicture:
-    """What the template draws; all lengths in centimetres.
+    """The picture for the template; all lengths in centimetres.
 
     Attributes:
         view_box: of the whole picture.
@@ -48,7 +48,7 @@ class SvgPicture:
         boxes: from the oldest to the newest.
         labels: times.
         impact: (x, y) of the target's impact, or None.
-        other_impacts: the same of others among themselves.
+        other_impacts: (x, y) of impacts between background vehicles.
         size: width of the whole picture.
         close_size: width of the close-up.
     """
@@ -99,7 +99,7 @@ def point(xy_m: FloatArray, view: NetWindow) -> tuple[int, int]:
 
 
 def line_data(xy_m: FloatArray, view: NetWindow, *, closed: bool = False) -> str:
-    """Return path data of one line (K, 2); a closed ring's repeated last point is left to ``z``."""
+    """Return path data of one line (K, 2); in a *closed* ring ``z`` replaces the repeated last point."""
     centimetres = np.rint((xy_m - (view.x0_m, view.y1_m)) * (_CM, -_CM)).astype(np.int64)
     steps = np.diff(centimetres, axis=0)
     steps = steps[np.any(steps != 0, axis=1)]

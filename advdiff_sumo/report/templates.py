@@ -1,4 +1,4 @@
-"""The page's templates, styles and scripts, and how numbers are written in them."""
+"""Loads the page's templates, styles and scripts, and formats the numbers and words in them."""
 
 from __future__ import annotations
 
@@ -63,21 +63,21 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 
 def words(name: str | None) -> str:
-    """Return a table's word as one reads it (``rear_end_struck`` → "rear end struck"); a dash for None."""
+    """Return a table's word for display (``rear_end_struck`` → "rear end struck"); a dash for None."""
     return name.replace("_", " ") if name else _DASH
 
 
 def breaches_of(row: Mapping[str, Any]) -> list[str]:
-    """Return the rules that led to an episode's collision, and those that the target broke of itself."""
+    """Return the broken rules that led to an episode's collision, and all others that the target broke."""
     listed = ", ".join(row[name] or "" for name in ("target_breaches", "other_breaches", "offences"))
     return sorted({word for word in listed.split(", ") if word})
 
 
 def further_offences(row: Mapping[str, Any]) -> str:
-    """Return the sentence on rules that the target broke of itself; "" where the verdict names each of them already."""
-    told, verdict = str(row["offences_text"] or ""), str(row["verdict"] or "")
-    broken = _TIME_OF_OFFENCE.sub("\n", told.removeprefix("The target ")).split("\n")
-    return "" if all(one in verdict for one in broken) else told
+    """Return the sentence on rules that the target broke; "" if the verdict names all of them already."""
+    sentence, verdict = str(row["offences_text"] or ""), str(row["verdict"] or "")
+    offences = _TIME_OF_OFFENCE.sub("\n", sentence.removeprefix("The target ")).split("\n")
+    return "" if all(offence in verdict for offence in offences) else sentence
 
 
 def yes_no(flag: bool | None) -> str:
@@ -86,7 +86,7 @@ def yes_no(flag: bool | None) -> str:
 
 
 def title(row: Mapping[str, Any]) -> str:
-    """Return what happened in an episode, a row of ``episodes.parquet``, in a few words."""
+    """Return the outcome of an episode, a row of ``episodes.parquet``, in a few words."""
     if row["target_collision"]:
         return f"{words(row['collision_type'])} at {number(row['collision_time_s'], 1, 's')}"
     if row["end"] == "failed":
@@ -97,7 +97,7 @@ def title(row: Mapping[str, Any]) -> str:
 
 
 def as_json(value: Any) -> Markup:
-    """Return *value* as JSON that may stand in a script element."""
+    """Return *value* as JSON that is safe in a script element."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no tag can begin in it
 

@@ -1,4 +1,4 @@
-"""Films of an episode: MP4 by ffmpeg, GIF by Pillow; the same run gives the same bytes."""
+"""Makes films of an episode: MP4 by ffmpeg, GIF by Pillow; the same run gives the same bytes."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from advdiff_sumo.report.scene_picture import Role
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 from advdiff_sumo.report.templates import words
 
-#: Pictures a second of film.
+#: Frames per second of film.
 FRAMES_PER_S = {".mp4": 25, ".gif": 10}
-#: Length of a film where no start is asked for.
+#: Longest span of the episode without a requested start.
 FILM_S = 30.0
-_HELD_S = 1.0
+_LAST_FRAME_S = 1.0
 _TRAIL_S = 2.0
 _WIDTH_PX, _ASPECT, _DPI = 960, 1.5, 100
 _GIF_COLOURS = 64
@@ -56,31 +56,31 @@ def video(
         folder: of a finished run or sweep.
         episode: its number; None for the worst.
         path: the file to write.
-        speed: seconds of the episode in a second of film.
+        speed: seconds of the episode per second of film.
         start_s: first moment; None for ``FILM_S`` before the last.
         end_s: last moment; None for the end.
 
     Raises:
         FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.
-        ConfigError: the stretch is not in the episode.
+        ConfigError: the span is not in the episode.
         MissingExtraError: MP4 without the extra ``video``.
     """
     kind = check_ending(path, tuple(FRAMES_PER_S))
     ffmpeg = _ffmpeg() if kind == ".mp4" else None
     chosen = ChosenEpisode.read(folder, episode)
-    last = float(chosen.states.tracks.times_s[-1])
-    start, end = chosen.span_s(start_s, end_s if end_s is not None else last, FILM_S)
+    last_s = float(chosen.states.tracks.times_s[-1])
+    start, end = chosen.span_s(start_s, end_s if end_s is not None else last_s, FILM_S)
     rate = FRAMES_PER_S[kind]
-    moments = np.append(np.arange(start, end - 1e-6, speed / rate), np.full(round(_HELD_S * rate), end))
+    moments = np.append(np.arange(start, end - 1e-6, speed / rate), np.full(round(_LAST_FRAME_S * rate), end))
     if not path.parent.is_dir():
         raise FileError(path, "cannot be written (its folder is not there)", "choose another place")
     try:
-        with whole_file(path, kind) as aside:
+        with whole_file(path, kind) as temporary:
             frames = _frames(chosen, moments, start, end)
             if ffmpeg is None:
-                _write_gif(frames, aside, rate)
+                _write_gif(frames, temporary, rate)
             else:
-                _write_mp4(frames, aside, rate, ffmpeg)
+                _write_mp4(frames, temporary, rate, ffmpeg)
     except OSError as error:
         raise unwritable(path, error) from None
     return path
@@ -96,7 +96,7 @@ def _ffmpeg() -> Any:
 def _frames(
     chosen: ChosenEpisode, moments_s: FloatArray, start_s: float, end_s: float
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield (H, W, 3) pictures, H and W even; streets are drawn once, the rest upon them."""
+    """Yield frames (H, W, 3), H and W even; the streets are drawn only once."""
     view = chosen.view(start_s, end_s, _ASPECT)
     drawn = Figure(figsize=(_WIDTH_PX / _DPI, _WIDTH_PX / _ASPECT / _DPI), dpi=_DPI, facecolor=GROUND)
     canvas: Any = FigureCanvasAgg(drawn)  # matplotlib leaves these methods untyped
@@ -117,7 +117,7 @@ def _frames(
 
 
 def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
-    """Return what moves: trails, boxes, the contact and words."""
+    """Return the artists of one frame: natural paths, trails, boxes, the contact and text."""
     tracks, target, attacker = chosen.states.tracks, chosen.states.target, chosen.attacker
     artists: list[Any] = []
     if chosen.natural is not None:
@@ -126,15 +126,15 @@ def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
         ]
     past = chosen.steps(max(0.0, moment_s - _TRAIL_S), moment_s)
     xy, yaw = poses_at(tracks, moment_s)
-    there = np.flatnonzero(np.isfinite(xy).all(axis=1)).tolist()
+    present_rows = np.flatnonzero(np.isfinite(xy).all(axis=1)).tolist()
     for role, rows in (
-        (Role.OTHER, [row for row in there if row not in (target, attacker)]),
-        (Role.ATTACKER, [row for row in there if row == attacker]),
-        (Role.TARGET, [row for row in there if row == target]),
+        (Role.OTHER, [row for row in present_rows if row not in (target, attacker)]),
+        (Role.ATTACKER, [row for row in present_rows if row == attacker]),
+        (Role.TARGET, [row for row in present_rows if row == target]),
     ):
         for row in rows:
-            way = np.concatenate((tracks.xy_m[row, past], xy[row][None]))
-            artists.append(axes.plot(*way.T, color=COLOURS[role], linewidth=2.0, alpha=0.6)[0])
+            path = np.concatenate((tracks.xy_m[row, past], xy[row][None]))
+            artists.append(axes.plot(*path.T, color=COLOURS[role], linewidth=2.0, alpha=0.6)[0])
         outlines = [corners(xy[row], yaw[row], tracks.size_m[row]) for row in rows]
         noses = [
             np.stack((xy[row], outline[:2].mean(axis=0))) for row, outline in zip(rows, outlines, strict=True)
@@ -142,22 +142,24 @@ def _artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
         boxes = PolyCollection(outlines, facecolors=COLOURS[role], edgecolors="white", linewidths=1.0)
         artists.append(axes.add_collection(boxes))
         artists += [axes.plot(*nose.T, color="white", linewidth=1.2)[0] for nose in noses]
-    return artists + _words(axes, chosen, moment_s)
+    return artists + _text_artists(axes, chosen, moment_s)
 
 
-def _words(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
+def _text_artists(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
     tracks, row = chosen.states.tracks, chosen.row
     step = min(round(moment_s / tracks.dt_s), tracks.steps - 1)
     speed = tracks.speed_mps[chosen.states.target, step]
     clock = f"{moment_s:5.1f} s" + (f"   target {speed:.1f} m/s" if np.isfinite(speed) else "")
-    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
+    text_box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
     artists: list[Any] = [
-        axes.text(0.015, 0.975, clock, transform=axes.transAxes, va="top", fontsize=13, bbox=paper)
+        axes.text(0.015, 0.975, clock, transform=axes.transAxes, va="top", fontsize=13, bbox=text_box)
     ]
     if chosen.contact_s is not None and moment_s >= chosen.contact_s - 1e-6:
         verdict = f"{words(row['collision_type'])}, at fault: {words(row['at_fault'])}"
         artists.append(
-            axes.text(0.015, 0.03, verdict, transform=axes.transAxes, fontsize=13, color=IMPACT, bbox=paper)
+            axes.text(
+                0.015, 0.03, verdict, transform=axes.transAxes, fontsize=13, color=IMPACT, bbox=text_box
+            )
         )
         if chosen.impact_m is not None:
             cross = axes.plot(*chosen.impact_m, marker="x", color=IMPACT, markersize=14, markeredgewidth=3.5)
@@ -166,7 +168,7 @@ def _words(axes: Axes, chosen: ChosenEpisode, moment_s: float) -> list[Any]:
 
 
 def _write_gif(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int) -> None:
-    """Write a GIF in which all pictures share the colours of the last one, which has them all."""
+    """Write a GIF in which all frames use the palette of the last one, which contains all colours."""
     pictures = [Image.fromarray(frame) for frame in frames]
     palette = pictures[-1].quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
     indexed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
@@ -175,11 +177,11 @@ def _write_gif(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int) -> No
 
 
 def _write_mp4(frames: Iterator[NDArray[np.uint8]], path: Path, rate: int, ffmpeg: Any) -> None:
-    """Write H.264 that any browser plays; one thread and no dates, so that the bytes repeat."""
-    plain = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+    """Write H.264 that any browser plays; one thread and no dates give the same bytes every time."""
+    reproducible = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
     first = next(frames)
     size = (first.shape[1], first.shape[0])
-    params = [*plain, "-crf", "21"]
+    params = [*reproducible, "-crf", "21"]
     sink = ffmpeg.write_frames(
         str(path), size, fps=rate, codec="libx264", macro_block_size=2, quality=None, output_params=params
     )

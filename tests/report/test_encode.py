@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.report.blocks import departed, episode_block, streets_block
+from advdiff_sumo.report.blocks import deviating_tracks, episode_block, streets_block
 from advdiff_sumo.report.encode import (
     NOTHING,
     block,
@@ -110,19 +110,19 @@ def test_only_those_who_depart_have_a_ghost_and_the_target() -> None:
     other[1, 10:, 1] += 0.6
     other[2, 10:, 1] += 0.4
     natural = _tracks(other[..., 1])
-    assert departed(EpisodeStates(driven, 0), natural).ids == ("a", "b")
+    assert deviating_tracks(EpisodeStates(driven, 0), natural).ids == ("a", "b")
     half = thinned(natural)  # 0, 0.5, … 2.0 s
-    between = departed(EpisodeStates(driven.window(0, 8), 0), half)
+    between = deviating_tracks(EpisodeStates(driven.window(0, 8), 0), half)
     assert between.times_s == pytest.approx([0.0, 0.5, 1.0])  # it ends at 0.7 s
     assert between.ids == ("a",)  # "b" departs later
-    late = departed(EpisodeStates(driven, 0), natural.shifted(-1.5))
+    late = deviating_tracks(EpisodeStates(driven, 0), natural.shifted(-1.5))
     assert late.t0_s == pytest.approx(0.0)
     assert late.steps == 6
 
 
 def test_natural_after_the_episode_is_nothing() -> None:
     driven = _tracks(np.zeros((1, 5)))
-    assert departed(EpisodeStates(driven, 0), driven.shifted(60.0)).agents == 0
+    assert deviating_tracks(EpisodeStates(driven, 0), driven.shifted(60.0)).agents == 0
 
 
 def test_two_hundred_episodes_of_a_hundred_vehicles_fit() -> None:

@@ -123,12 +123,12 @@ def test_labels_always_name_planted_defects(run: FinishedRun) -> None:
 
 def test_natural_counterpart_is_the_same_scene_and_target_in_sumos_traffic(run: FinishedRun) -> None:
     naturals = ReferenceEpisodes(run)
-    found = naturals.of(run.row(1))
+    found = naturals.natural_tracks(run.row(1))
     assert found is not None
     assert found.dt_s == pytest.approx(0.5)
     assert found.xy_m[found.index["bv"], 2] == pytest.approx((415.0, 419.0))  # 405 m, and 1 s at 10 m/s
-    assert naturals.of(run.row(0)) is None  # natural itself
-    kept = naturals.of(run.row(3))  # its counterpart failed: what the scene was cut from
+    assert naturals.natural_tracks(run.row(0)) is None  # natural itself
+    kept = naturals.natural_tracks(run.row(3))  # its counterpart failed: what the scene was cut from
     assert kept is not None
     assert kept.xy_m[0, -1] == pytest.approx((404.0, 410.0))
 
@@ -139,7 +139,7 @@ def test_a_log_that_is_no_longer_there_is_done_without(
     states = rows.drive(0, "ego", 0.0, 0.0, 10.0, target=True)
     folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options={"scenes": "/gone"})
     run = FinishedRun.read(folder)
-    assert ReferenceEpisodes(run).of(run.row(0)) is None
+    assert ReferenceEpisodes(run).natural_tracks(run.row(0)) is None
     assert write_report(folder).is_file()
 
 
@@ -152,7 +152,7 @@ def test_natural_of_a_log_is_the_log_from_the_seed_scene_on(
     folder = make_folder([rows.episode(0, scene="scene-0061-004")], states, options=options)
     run = FinishedRun.read(folder)
     naturals = ReferenceEpisodes(run)
-    found, drive = naturals.of(run.row(0)), naturals.drive_of(run.row(0))
+    found, drive = naturals.natural_tracks(run.row(0)), naturals.logged_drive(run.row(0))
     assert found is not None
     assert drive is not None
     now = int(np.argmin(np.abs(found.times_s)))

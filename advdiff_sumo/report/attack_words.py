@@ -37,8 +37,8 @@ def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     lines = []
     for kind in dict.fromkeys(row.get("attack_kind") for row in rows):
         with_kind = [row for row in rows if row.get("attack_kind") == kind]
-        missing_actions = [action for row in with_kind if (action := out_of_position(row)) is not None]
-        if missing_actions:
+        missing = [action for row in with_kind if (action := out_of_position(row)) is not None]
+        if missing:
             lines.append(
                 (
                     f"no one was in a position to {missing[0]}",

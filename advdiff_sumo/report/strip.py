@@ -133,8 +133,8 @@ def _draw_circles(
     path = np.stack([poses_at(chosen.states.tracks, float(t))[0][row] for t in times])
     axes.plot(*path.T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
     for k, point in enumerate(path):
-        alpha_ = 0.35 + 0.65 * (k + 1) / len(path)
-        axes.plot(*point, "o", color=colour, alpha=alpha_, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
+        opacity = 0.35 + 0.65 * (k + 1) / len(path)
+        axes.plot(*point, "o", color=colour, alpha=opacity, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
 
 
 def _draw_legend(drawn: Figure, chosen: ChosenEpisode) -> None:

@@ -117,19 +117,19 @@ def part_result(
         detail = counted(looked_at, "scene") if looked_at else "not looked at, see above"
         return CheckResult(part.value, True if looked_at else None, detail)
     where, first = min(found, key=lambda named: named[1].harmless)
-    place = f" ({where})" if where else ""
+    scene_text = f" ({where})" if where else ""
     remedy = f"; {first.remedy}" if first.remedy else ""
-    more = f"; {len(found) - 1} more" if len(found) > 1 else ""
-    return CheckResult(part.value, first.harmless, f"{first.text}{place}{remedy}{more}")
+    more_text = f"; {len(found) - 1} more" if len(found) > 1 else ""
+    return CheckResult(part.value, first.harmless, f"{first.text}{scene_text}{remedy}{more_text}")
 
 
-def drives_results(records: Sequence[EpisodeRecord], again: EpisodeRecord) -> list[CheckResult]:
-    """Return whether all episodes finished, and whether repeating the first one (*again*) gave the same bytes."""
+def drives_results(records: Sequence[EpisodeRecord], repeated: EpisodeRecord) -> list[CheckResult]:
+    """Return whether all episodes finished, and whether the *repeated* first one gave the same bytes."""
     messages = [record.failure.message for record in records if record.failure is not None]
     duration_s = sum(record.tracks.dt_s * (record.tracks.steps - 1) for record in records)
     ends = ", ".join(sorted({str(record.end) for record in records}))
     detail = messages[0] if messages else f"{counted(len(records), 'episode')}, {duration_s:.0f} s: {ends}"
-    first, second = records[0].tracks, again.tracks
+    first, second = records[0].tracks, repeated.tracks
     is_same = first.ids == second.ids and all(
         getattr(first, part).tobytes() == getattr(second, part).tobytes()
         for part in ("xy_m", "yaw_rad", "speed_mps", "valid")

@@ -121,15 +121,7 @@ def outcomes(
 def _near_miss_outcome(
     record: EpisodeRecord, ttc_s: FloatArray, times_s: FloatArray, encounter: BegunEncounter, until_s: float
 ) -> float:
-    """Return the partial failure of an encounter by its least time to collision.
-
-    Args:
-        record: the episode.
-        ttc_s: (A, T) times to collision with the target.
-        times_s: (T,) instants.
-        encounter: its vehicles and its begin.
-        until_s: its end.
-    """
+    """Return the partial failure of an encounter from its times to collision (A, T) at instants (T,) to *until_s*."""
     rows = [record.tracks.index[name] for name in encounter.names if name in record.tracks.index]
     during = (times_s > encounter.since_s) & (times_s <= until_s)
     least_ttc_s = float(np.nanmin(ttc_s[rows][:, during], initial=np.inf))

@@ -171,14 +171,14 @@ def failure_probabilities(predictor: FailurePredictor) -> Mapping[str, float]:
     return dict(sorted(predicted.items(), key=lambda pair: -pair[1]))
 
 
-def header(options: RunOptions, done: MetEncounters) -> Mapping[str, object]:
+def header(options: RunOptions, result: MetEncounters) -> Mapping[str, object]:
     """Return the header of a warm-up's file."""
     return {
         "target": options.target,
         "net": options.net,
         "seed": options.seed,
-        "steps": done.plans,
-        "episodes": done.episodes,
-        "encounters": len(done.outcomes),
-        "failures": done.failures,
+        "steps": result.plans,
+        "episodes": result.episodes,
+        "encounters": len(result.outcomes),
+        "failures": result.failures,
     }

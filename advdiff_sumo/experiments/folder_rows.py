@@ -57,8 +57,8 @@ class FolderRows:
         """How many episodes are missing, and the command that runs them."""
         folder = shlex.quote(str(self.path))
         command = f"run --resume --out {folder}" if self.of_run else f"sweep --resume {folder}"
-        lacking = f"{counted(self.missing, 'episode')} {'has' if self.missing == 1 else 'have'}"
-        return f"{lacking} not been run; advdiff-sumo {command} runs {'it' if self.missing == 1 else 'them'}"
+        missing_text = f"{counted(self.missing, 'episode')} {'has' if self.missing == 1 else 'have'}"
+        return f"{missing_text} not been run; advdiff-sumo {command} runs {'it' if self.missing == 1 else 'them'}"
 
     @property
     def timing(self) -> Rows:

@@ -157,8 +157,8 @@ def open_judging(folder: Path) -> Judging:
     try:
         plan = stored_plan(store)
     except ConfigError as error:  # of an earlier version, or its nets have changed
-        kept = "verdicts go into its tables alone, until results puts these together again"
-        return replace(_judge_tables(folder, SWEEP_TABLES["episodes"]), doubt=f"{error}; {kept}")
+        consequence = "verdicts go into its tables alone, until results puts these together again"
+        return replace(_judge_tables(folder, SWEEP_TABLES["episodes"]), doubt=f"{error}; {consequence}")
     return _judge_sweep(store, plan)
 
 
@@ -249,7 +249,7 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
         WeightsError: the search has no weights.
     """
     record = stored.record()
-    row, collisions = dict(stored.row), [dict(x) for x in stored.collisions]
+    row, collisions = dict(stored.row), [dict(collision) for collision in stored.collisions]
     if record is None or record.tracks.steps < 2:
         return JudgedRows(row, collisions)
     road = stored.road()
@@ -259,7 +259,7 @@ def judge_episode(stored: EpisodeTables, search: bool = False) -> JudgedRows:
         offences = () if stored.signals is None else OFFENCE_COLUMNS  # running a red light needs the signals
         verdict = {name: judged[name] for name in (*_EPISODE_VERDICTS, *offences)}
         row |= _with_red_light(row, verdict, stored.signals)
-    judged_by_key = {_collision_key(x): x for x in collision_rows(record, road, metrics)}
+    judged_by_key = {_collision_key(judged): judged for judged in collision_rows(record, road, metrics)}
     for collision in collisions:
         key = _collision_key(collision)
         if key in judged_by_key:
@@ -277,7 +277,11 @@ def _with_red_light(
         return judged
     by_target = reason.startswith("The target")
     side = "target_breaches" if by_target else "other_breaches"
-    breaches = [x for x in str(judged[side] or "").split(", ") if x and x != BreachKind.RIGHT_OF_WAY]
+    breaches = [
+        breach
+        for breach in str(judged[side] or "").split(", ")
+        if breach and breach != BreachKind.RIGHT_OF_WAY
+    ]
     corrected = {name: stored[name] for name in ("at_fault", "fault_reason")}
     corrected[side] = ", ".join([str(BreachKind.RED_LIGHT), *breaches])
     corrected["lawful"] = judged["lawful"] if by_target else False
@@ -295,7 +299,7 @@ def _judged_episodes(
             yield key, judge(episode)
         return
     tasks = ((key, (judge, episode)) for key, episode in episodes)
-    yield from ((key, done.result()) for key, done in futures_of(tasks, workers, _one_arrow_thread))
+    yield from ((key, future.result()) for key, future in futures_of(tasks, workers, _one_arrow_thread))
 
 
 def _one_arrow_thread() -> None:

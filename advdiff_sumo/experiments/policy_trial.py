@@ -96,11 +96,11 @@ def check_background(options: RunOptions, within_ms: float = math.inf) -> list[C
         InputError: there is no such policy, it cannot be made, or the run cannot start.
     """
     run = Run.prepare(options)
-    driven = drive_traffic(run)
-    instants = _instants(driven.instants)
+    traffic = drive_traffic(run)
+    instants = _instants(traffic.instants)
     contract = _contract(run.policy, run.road, instants)
-    drives = drives_results(driven.records, driven.again)
-    return [*contract, *drives, _in_traffic(driven.records, run), _in_time(run.policy, driven, within_ms)]
+    drives = drives_results(traffic.records, traffic.again)
+    return [*contract, *drives, _in_traffic(traffic.records, run), _in_time(run.policy, traffic, within_ms)]
 
 
 def drive_traffic(run: Run) -> DrivenTraffic:
@@ -114,10 +114,10 @@ def drive_traffic(run: Run) -> DrivenTraffic:
     if not seed_scenes:
         raise SceneError(run.why_no_scene())
     results = [replace(run, policy=watched).episode(k, start).run() for k, start in enumerate(seed_scenes)]
-    again, _ = run.episode(0, seed_scenes[0]).run()
+    repeated, _ = run.episode(0, seed_scenes[0]).run()
     plans_s = np.array([took for _, timing in results for took in timing.background_plans_s])
     return DrivenTraffic(
-        tuple(record for record, _ in results), again, plans_s, tuple(watched.plans or watched.starts)
+        tuple(record for record, _ in results), repeated, plans_s, tuple(watched.plans or watched.starts)
     )
 
 
@@ -189,7 +189,7 @@ def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
     return CheckResult(IN_TRAFFIC, True if is_clean else None, ", ".join(counts) + remedy)
 
 
-def _in_time(policy: TrafficPolicy, driven: DrivenTraffic, within_ms: float) -> CheckResult:
+def _in_time(policy: TrafficPolicy, traffic: DrivenTraffic, within_ms: float) -> CheckResult:
     if plans_nothing(policy):
         return CheckResult(IN_TIME, True, "it plans nothing: SUMO drives everybody")
-    return in_time(driven.plans_s, within_ms)
+    return in_time(traffic.plans_s, within_ms)

@@ -29,10 +29,10 @@ def solvable(record: EpisodeRecord, road: RoadMap, options: SolveOptions | None 
     """
     from advdiff_sumo.experiments.solution import solve  # late: verdicts without it need no PyTorch
 
-    struck = target_collision(record, collisions(record))
-    if struck is None:
+    collision = target_collision(record, collisions(record))
+    if collision is None:
         return None
-    contact = min(struck.step + (struck.fraction > 0.0), record.tracks.steps - 1)
+    contact = min(collision.step + (collision.fraction > 0.0), record.tracks.steps - 1)
     try:
         return solve(EpisodeStates(record.tracks, record.target), road, options, contact).solvable
     except SceneError:

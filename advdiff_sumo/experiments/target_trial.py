@@ -96,14 +96,7 @@ class WatchedServedPlanner(WatchedPlanner):
 
 @dataclass(frozen=True)
 class Driven:
-    """The results of the episodes.
-
-    Attributes:
-        records: of the episodes.
-        again: record of the first episode, run a second time.
-        plans_s: wall-clock seconds of each plan.
-        scenes: in which it planned; if it never did, the starts of the episodes.
-    """
+    """The records of the episodes, of the first one run *again*, planning times, and scenes (if no plan: starts)."""
 
     records: tuple[EpisodeRecord, ...]
     again: EpisodeRecord
@@ -112,7 +105,11 @@ class Driven:
 
 
 def check_in_worker(
-    name: str, options: Mapping[str, Any], extent: Extent, limits: WorkerLimits, hear: Callable[[str], None]
+    name: str,
+    options: Mapping[str, Any],
+    extent: Extent,
+    limits: WorkerLimits,
+    on_output: Callable[[str], None],
 ) -> list[CheckResult]:
     """Run :func:`check_target` in a process of its own and return its results.
 
@@ -123,12 +120,12 @@ def check_in_worker(
         options: of the planner.
         extent: of the check.
         limits: of the worker.
-        hear: called with what the planner printed.
+        on_output: called with what the planner printed.
 
     Raises:
         InputError: there is no such planner, or it cannot be made.
     """
-    return checked_in_worker(partial(check_target, name, dict(options), extent), limits, hear)
+    return checked_in_worker(partial(check_target, name, dict(options), extent), limits, on_output)
 
 
 def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[CheckResult]:
@@ -149,14 +146,14 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
         raise ConfigError(f"target '{name}' is driven by SUMO itself: there is no planner to check")
     check_together(run_options, planner)
     road = RoadMap.read(find_net(extent.net))
-    driven = drive(planner, name, road, extent)
-    scenes = _scenes(driven.scenes)
+    result = drive(planner, name, road, extent)
+    scenes = _scenes(result.scenes)
     problems = [
-        (where, problem) for where, scene in scenes.items() for problem in problems_of(planner, road, scene)
+        (where, found) for where, scene in scenes.items() for found in problems_of(planner, road, scene)
     ]
     contract = contract_results(Part, problems, scenes, carries_over(planner, road, list(scenes.values())))
-    drives = drives_results(driven.records, driven.again)
-    return [*contract, *drives, in_time(driven.plans_s, extent.within_ms)]
+    drives = drives_results(result.records, result.again)
+    return [*contract, *drives, in_time(result.plans_s, extent.within_ms)]
 
 
 def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
@@ -172,10 +169,10 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
     seed_scenes = source.batch(0)[: extent.episodes]
     watched = WatchedServedPlanner(planner) if isinstance(planner, Served) else WatchedPlanner(planner)
     episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(seed_scenes)]
-    again, _ = _episode(0, seed_scenes[0], road, planner, name, extent)
+    repeated, _ = _episode(0, seed_scenes[0], road, planner, name, extent)
     plans_s = np.array([plan_s for _, plans in episodes for plan_s in plans])
     return Driven(
-        tuple(record for record, _ in episodes), again, plans_s, tuple(watched.scenes or watched.starts)
+        tuple(record for record, _ in episodes), repeated, plans_s, tuple(watched.scenes or watched.starts)
     )
 
 

@@ -174,11 +174,11 @@ def _with_target_future(batch: SceneBatch, path: Rollout | None) -> SceneBatch:
     """Return *batch* with row 0 of *path* as the target's future; unchanged without a path."""
     if path is None:
         return batch
-    future, known = batch.future.clone(), batch.future_valid.clone()
+    future, is_known = batch.future.clone(), batch.future_valid.clone()
     steps = path.yaw.shape[2]
     future[0, 0, :steps] = torch.cat((path.xy, path.yaw[..., None], path.speed[..., None]), dim=-1)[0, 0]
-    known[0, 0, :steps] = True
-    return replace(batch, future=future, future_valid=known)
+    is_known[0, 0, :steps] = True
+    return replace(batch, future=future, future_valid=is_known)
 
 
 def _recorded_rollout(record: EpisodeRecord, view: View, steps: int) -> Rollout | None:
@@ -192,9 +192,9 @@ def _recorded_rollout(record: EpisodeRecord, view: View, steps: int) -> Rollout 
     if instants[-1] >= tracks.steps or instants[0] <= now_step:
         return None
     states = np.stack([_states(record, view, row, instants) for row in range(len(view.ids))])
-    x = torch.from_numpy(states[None].astype(np.float32))
-    zeros = torch.zeros_like(x[..., 0])
-    return Rollout(x[..., :2], x[..., 2], x[..., 3], zeros, zeros)
+    futures = torch.from_numpy(states[None].astype(np.float32))
+    zeros = torch.zeros_like(futures[..., 0])
+    return Rollout(futures[..., :2], futures[..., 2], futures[..., 3], zeros, zeros)
 
 
 def _states(record: EpisodeRecord, view: View, row: int, instants: IntArray) -> FloatArray:
@@ -218,13 +218,13 @@ def _states(record: EpisodeRecord, view: View, row: int, instants: IntArray) -> 
     return states
 
 
-def description(options: RunOptions, done: WarmedUp) -> dict[str, Any]:
+def description(options: RunOptions, result: WarmedUp) -> dict[str, Any]:
     """Return the header of the file of a warmed-up reward model."""
     return {
         "target": options.target,
         "net": options.net,
         "seed": options.seed,
-        "steps": done.steps,
-        "episodes": done.episodes,
-        "contacts": done.contacts,
+        "steps": result.steps,
+        "episodes": result.episodes,
+        "contacts": result.contacts,
     }

@@ -106,14 +106,14 @@ def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: Tel
     )  # late: the worker's
     from advdiff_sumo.models.failure_predictor import save_failures
 
-    done = warm_up_failures(options, steps, on_progress)
-    save_failures(done.predictor, out, header(options, done))
-    encounters = f"{counted(len(done.outcomes), 'encounter')}, {counted(done.failures, 'valid failure')}"
+    result = warm_up_failures(options, steps, on_progress)
+    save_failures(result.predictor, out, header(options, result))
+    encounters = f"{counted(len(result.outcomes), 'encounter')}, {counted(result.failures, 'valid failure')}"
     probabilities = ", ".join(
-        f"{kind} {share:.0%}" for kind, share in failure_probabilities(done.predictor).items()
+        f"{kind} {share:.0%}" for kind, share in failure_probabilities(result.predictor).items()
     )
     return [
-        f"{counted(done.plans, 'plan')} in {counted(done.episodes, 'episode')}, {encounters}",
+        f"{counted(result.plans, 'plan')} in {counted(result.episodes, 'episode')}, {encounters}",
         f"expected to fail in: {probabilities}",
         f"use it with run --background {options.background} --reward {out}",
     ]
@@ -123,11 +123,13 @@ def _refit_reward(options: RunOptions, steps: int, out: Path, on_progress: Tell)
     from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker's
     from advdiff_sumo.models.reward import save_reward
 
-    done = warm_up(options, steps, on_progress)
-    save_reward(done.reward, out, description(options, done))
-    early_losses, late_losses = done.losses[: len(done.losses) // 2], done.losses[len(done.losses) // 2 :]
+    result = warm_up(options, steps, on_progress)
+    save_reward(result.reward, out, description(options, result))
+    half = len(result.losses) // 2
+    early_losses, late_losses = result.losses[:half], result.losses[half:]
+    plans = f"{counted(result.steps, 'plan')} in {counted(result.episodes, 'episode')}"
     return [
-        f"{counted(done.steps, 'plan')} in {counted(done.episodes, 'episode')}, {counted(done.contacts, 'collision')}; "
+        f"{plans}, {counted(result.contacts, 'collision')}; "
         f"loss {fmean(early_losses or late_losses):.4f} → {fmean(late_losses):.4f}",
         f"reward model: {out}  ·  use it with run --background diffusion --licence reckless --reward {out}",
     ]

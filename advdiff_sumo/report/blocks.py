@@ -106,13 +106,13 @@ def deviating_tracks(states: EpisodeStates, natural: Tracks) -> Tracks:
     return cut.rows(np.array(rows, dtype=np.int64))
 
 
-def _differs(driven: Tracks, natural: Tracks, row: int, name: str, target: int) -> bool:
-    own_row = driven.index.get(name)
+def _differs(tracks: Tracks, natural: Tracks, row: int, name: str, target: int) -> bool:
+    own_row = tracks.index.get(name)
     if own_row is None or own_row == target:
         return own_row is not None
-    steps = np.clip(np.rint(natural.times_s / driven.dt_s).astype(np.int64), 0, driven.steps - 1)
-    distance_m = np.linalg.norm(driven.xy_m[own_row, steps] - natural.xy_m[row], axis=-1)
-    distance_m = distance_m[natural.times_s <= driven.times_s[-1] + 1e-6]
+    steps = np.clip(np.rint(natural.times_s / tracks.dt_s).astype(np.int64), 0, tracks.steps - 1)
+    distance_m = np.linalg.norm(tracks.xy_m[own_row, steps] - natural.xy_m[row], axis=-1)
+    distance_m = distance_m[natural.times_s <= tracks.times_s[-1] + 1e-6]
     return bool((distance_m > _DEVIATION_M).any())  # NaN compares as False
 
 

@@ -85,8 +85,8 @@ def chart(
         contact_s: time of the contact, which is marked by a line, or None.
         least: range of values that is always shown.
     """
-    drawn = {role: values for role, values in curves.items() if np.isfinite(values).any()}
-    all_values = np.concatenate([*drawn.values(), np.array(least)])
+    shown_curves = {role: values for role, values in curves.items() if np.isfinite(values).any()}
+    all_values = np.concatenate([*shown_curves.values(), np.array(least)])
     low, high = float(np.nanmin(all_values)), float(np.nanmax(all_values))
     y_ticks = MaxNLocator(4).tick_values(low, high)
     bottom, top = min(low, float(y_ticks[0])), max(high, float(y_ticks[-1]))
@@ -103,8 +103,8 @@ def chart(
 
     return Chart(
         title=f"{title} ({unit})",
-        summary=_summary(title, unit, times_s, drawn),
-        curves=tuple(Curve(role, _path(x_of(times_s), y_of(v))) for role, v in drawn.items()),
+        summary=_summary(title, unit, times_s, shown_curves),
+        curves=tuple(Curve(role, _path(x_of(times_s), y_of(v))) for role, v in shown_curves.items()),
         x_ticks=tuple((f"{float(x_of(t)):.1f}", f"{t:g}") for t in x_ticks),
         y_ticks=tuple((f"{float(y_of(v)):.1f}", f"{v:g}".replace("-", "−")) for v in y_ticks),
         contact_x=None if contact_s is None else f"{float(x_of(contact_s)):.1f}",
@@ -123,10 +123,10 @@ def _path(x: FloatArray, y: FloatArray) -> str:
     return "".join(data)
 
 
-def _summary(title: str, unit: str, times_s: FloatArray, drawn: dict[str, FloatArray]) -> str:
-    if not drawn:
+def _summary(title: str, unit: str, times_s: FloatArray, shown_curves: dict[str, FloatArray]) -> str:
+    if not shown_curves:
         return f"{title}: nothing to show"
-    return "; ".join(_one_summary(title, unit, times_s, role, v) for role, v in drawn.items())
+    return "; ".join(_one_summary(title, unit, times_s, role, v) for role, v in shown_curves.items())
 
 
 def _one_summary(title: str, unit: str, times_s: FloatArray, role: str, values: FloatArray) -> str:

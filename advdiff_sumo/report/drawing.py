@@ -71,9 +71,9 @@ def frame_axes(axes: Axes, view: NetWindow) -> None:
 def draw(picture: Picture) -> Figure:
     """Return *picture* as a figure of matplotlib, north up."""
     view = picture.view
-    drawn = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * view.height_m / view.width_m), dpi=_DPI, facecolor=GROUND)
-    FigureCanvasAgg(drawn)
-    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
+    fig = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * view.height_m / view.width_m), dpi=_DPI, facecolor=GROUND)
+    FigureCanvasAgg(fig)
+    axes = fig.add_axes((0.0, 0.0, 1.0, 1.0))
     frame_axes(axes, view)
     axes.set_axis_off()
     points_per_m = 72.0 * _WIDTH_IN / view.width_m
@@ -82,7 +82,7 @@ def draw(picture: Picture) -> Figure:
     _draw_traffic(axes, picture)
     _draw_impacts(axes, picture)
     _draw_legend(axes, picture)
-    return drawn
+    return fig
 
 
 def draw_streets(axes: Axes, streets: VisibleStreets, points_per_m: float) -> None:
@@ -154,8 +154,8 @@ def _draw_legend(axes: Axes, picture: Picture) -> None:
     axes.legend(handles=handles, loc="upper right", fontsize=9, framealpha=0.9)
 
 
-def save_figure(drawn: Figure, path: Path) -> None:
-    """Write *drawn* to *path* (.svg or .png), without dates.
+def save_figure(fig: Figure, path: Path) -> None:
+    """Write *fig* to *path* (.svg or .png), without dates.
 
     Raises:
         FileError: *path* cannot be written.
@@ -164,6 +164,6 @@ def save_figure(drawn: Figure, path: Path) -> None:
     metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
     try:
         with mpl.rc_context({"svg.hashsalt": "advdiff-sumo", "svg.fonttype": "none"}):
-            drawn.savefig(path, format=kind, metadata=metadata, facecolor=drawn.get_facecolor(), dpi=_DPI)
+            fig.savefig(path, format=kind, metadata=metadata, facecolor=fig.get_facecolor(), dpi=_DPI)
     except OSError as error:
         raise unwritable(path, error) from None

@@ -102,8 +102,8 @@ def own_modules(*options: Mapping[str, Any]) -> list[str]:
     modules = (
         name.partition(":")[0].partition(".")[0] for name in names if ":" in name and not is_remote(name)
     )
-    own = (f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__"))
-    return list(dict.fromkeys(own))
+    files = (f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__"))
+    return list(dict.fromkeys(files))
 
 
 def _trails(sections: list[Section]) -> dict[str, list[FloatArray]]:

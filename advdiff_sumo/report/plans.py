@@ -80,9 +80,7 @@ def packed_plans(
             plan_numbers = None
             if previous is not None:
                 plan_numbers = _coded(plan, xy_cm, made_step - previous[0], previous[1], dt)
-            if (
-                plan_numbers is None
-            ):  # the first plan, or one too far from the previous one: begin a new series
+            if plan_numbers is None:  # the first plan, or one too far from the previous one: a new series
                 x, y = xy_cm[0].tolist()
                 series.append({"r": rows[agent], "n": 0, "x": x, "y": y})
                 plan_numbers = _coded(plan, xy_cm, made_step, xy_cm[0], dt)

@@ -20,21 +20,21 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         rows: of ``episodes.parquet``.
         timing: of ``timing.parquet``.
     """
-    known = [row for row in rows if has_outcome(row)]
-    episodes_with_outcome = {row.get("episode") for row in known}
-    timing = [row for row in timing if row.get("episode") in episodes_with_outcome]
-    collided = [row for row in known if row["target_collision"]]
+    counted = [row for row in rows if has_outcome(row)]
+    counted_episodes = {row.get("episode") for row in counted}
+    timing = [row for row in timing if row.get("episode") in counted_episodes]
+    collided = [row for row in counted if row["target_collision"]]
     lines = [
-        ("valid failures", _rate(_valid_failures(known), len(known))),
-        ("critical near misses", _rate(sum(bool(row["critical"]) for row in known), len(known))),
-        ("target breaks a rule", _rate(sum(map(broke_rule, known)), len(known))),
-        ("target collides", _rate(len(collided), len(known))),
-        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in collided), len(known))),
-        ("route completed", _rate(sum(bool(row["route_completed"]) for row in known), len(known))),
+        ("valid failures", _rate(_valid_failures(counted), len(counted))),
+        ("critical near misses", _rate(sum(bool(row["critical"]) for row in counted), len(counted))),
+        ("target breaks a rule", _rate(sum(map(broke_rule, counted)), len(counted))),
+        ("target collides", _rate(len(collided), len(counted))),
+        ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in collided), len(counted))),
+        ("route completed", _rate(sum(bool(row["route_completed"]) for row in counted), len(counted))),
         ("failed episodes", _rate(sum(map(is_failure, rows)), len(rows))),
-        ("median of minimum TTC", _median_text(known, "min_ttc_s", "s")),
-        ("median of minimum clearance", _median_text(known, "min_clearance_m", "m")),
-        *position_lines(known),
+        ("median of minimum TTC", _median_text(counted, "min_ttc_s", "s")),
+        ("median of minimum clearance", _median_text(counted, "min_clearance_m", "m")),
+        *position_lines(counted),
         *plan_lines(rows),
         ("real-time factor (median)", _median_text(timing, "real_time_factor", "×")),
     ]
@@ -50,22 +50,22 @@ def summary_figures(rows: Rows) -> dict[str, Any]:
 
     Episodes that failed after a collision of the target count in all of these, but not as finished.
     """
-    with_outcome = [row for row in rows if has_outcome(row)]
-    collided = [row for row in with_outcome if row["target_collision"]]
+    counted = [row for row in rows if has_outcome(row)]
+    collided = [row for row in counted if row["target_collision"]]
     kinds = sorted({str(row["failure_kind"]) for row in rows if is_failure(row)})
     return {
         "episodes": len(rows),
         "finished": sum(not is_failure(row) for row in rows),
-        "valid_failures": _valid_failures(with_outcome),
-        "critical": sum(bool(row["critical"]) for row in with_outcome),
-        "offences": sum(map(broke_rule, with_outcome)),
+        "valid_failures": _valid_failures(counted),
+        "critical": sum(bool(row["critical"]) for row in counted),
+        "offences": sum(map(broke_rule, counted)),
         "collisions": len(collided),
         "at_fault": sum(row["at_fault"] == "target" for row in collided),
-        "routes_completed": sum(bool(row["route_completed"]) for row in with_outcome),
-        "out_of_position": sum(out_of_position(row) is not None for row in with_outcome),
+        "routes_completed": sum(bool(row["route_completed"]) for row in counted),
+        "out_of_position": sum(out_of_position(row) is not None for row in counted),
         "failed": {kind: sum(row["failure_kind"] == kind for row in rows) for kind in kinds},
-        "median_min_ttc_s": _median_value(with_outcome, "min_ttc_s"),
-        "median_min_clearance_m": _median_value(with_outcome, "min_clearance_m"),
+        "median_min_ttc_s": _median_value(counted, "min_ttc_s"),
+        "median_min_clearance_m": _median_value(counted, "min_clearance_m"),
     }
 
 

@@ -118,31 +118,31 @@ def picture_of(
     full = states.tracks
     tracks = full.window(max(0, full.steps - 1 - round(SHOWN_S / full.dt_s)), full.steps)
     attacker = attacker or attacker_of(row)
-    other = None if attacker is None else tracks.index.get(attacker)
+    attacker_row = None if attacker is None else tracks.index.get(attacker)
     impact = impact_of(row) if row["target_collision"] else None
-    focus = focus_points(tracks, states.target, other, impact)
+    focus = focus_points(tracks, states.target, attacker_row, impact)
     view = view or NetWindow.around(focus, margin_m=12.0, least_width_m=70.0)
     return Picture(
         view=view,
         close_up=None
         if impact is None
-        else _close_up(tracks, states.target, other, impact, row["collision_time_s"]),
+        else _close_up(tracks, states.target, attacker_row, impact, row["collision_time_s"]),
         streets=None if layer is None else layer.streets(view),
-        trails=_trails(tracks, states.target, other, view),
-        boxes=_boxes(tracks, states.target, other, view),
+        trails=_trails(tracks, states.target, attacker_row, view),
+        boxes=_boxes(tracks, states.target, attacker_row, view),
         impact_m=impact,
         other_impacts_m=_other_impacts(collisions),
         start_s=tracks.t0_s,
         end_s=full.t0_s + full.dt_s * (full.steps - 1),
-        attacker=None if other is None else attacker,
-        partner=other is not None and attacker == row["collision_partner"],
+        attacker=None if attacker_row is None else attacker,
+        partner=attacker_row is not None and attacker == row["collision_partner"],
     )
 
 
 def focus_of(states: EpisodeStates, attacker: str | None) -> FloatArray:
     """Return the points (N, 2) that a view of *states* must include: the target's path, the attacker's near it."""
-    other = None if attacker is None else states.tracks.index.get(attacker)
-    return focus_points(states.tracks, states.target, other, None)
+    attacker_row = None if attacker is None else states.tracks.index.get(attacker)
+    return focus_points(states.tracks, states.target, attacker_row, None)
 
 
 def impact_of(row: Mapping[str, Any]) -> FloatArray | None:
@@ -157,40 +157,40 @@ def _other_impacts(collisions: Sequence[Mapping[str, Any]]) -> tuple[FloatArray,
     return tuple(point for point in points if point is not None)
 
 
-def focus_points(tracks: Tracks, target: int, other: int | None, impact: FloatArray | None) -> FloatArray:
+def focus_points(tracks: Tracks, target: int, attacker: int | None, impact: FloatArray | None) -> FloatArray:
     """Return the points (N, 2) that a view must include: the target's path, the attacker's near it, the impact."""
     points = [tracks.xy_m[target]]
-    if other is not None:
-        distance_m = np.linalg.norm(tracks.xy_m[other] - tracks.xy_m[target], axis=-1)
-        points.append(tracks.xy_m[other][distance_m <= ATTACKER_NEAR_M])
+    if attacker is not None:
+        distance_m = np.linalg.norm(tracks.xy_m[attacker] - tracks.xy_m[target], axis=-1)
+        points.append(tracks.xy_m[attacker][distance_m <= ATTACKER_NEAR_M])
     if impact is not None:
         points.append(impact[None])
     return np.concatenate(points)
 
 
 def _close_up(
-    tracks: Tracks, target: int, other: int | None, impact: FloatArray, contact_s: float
+    tracks: Tracks, target: int, attacker: int | None, impact: FloatArray, contact_s: float
 ) -> NetWindow:
     # the first instant at or after the contact
     contact_step = int(np.ceil((contact_s - tracks.t0_s) / tracks.dt_s - 1e-6))
     stop = min(max(contact_step, 0) + 1, tracks.steps)
     last_seconds = tracks.window(max(0, stop - round(_CLOSE_UP_S / tracks.dt_s)), stop)
-    focus = focus_points(last_seconds, target, other, impact)
+    focus = focus_points(last_seconds, target, attacker, impact)
     return NetWindow.around(focus, margin_m=4.0, least_width_m=30.0, most_width_m=60.0)
 
 
-def _trails(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Trail, ...]:
+def _trails(tracks: Tracks, target: int, attacker: int | None, view: NetWindow) -> tuple[Trail, ...]:
     trails = []
-    for row in _drawing_order(tracks, target, other):
+    for row in _drawing_order(tracks, target, attacker):
         is_present = np.isfinite(tracks.xy_m[row]).all(axis=1)
         for line in (tracks.xy_m[row, a:b] for a, b in stretches(is_present) if b - a > 1):
             clipped = shapely.clip_by_rect(shapely.simplify(shapely.LineString(line), 0.05), *view.rectangle)
             pieces = [p for p in shapely.get_parts(clipped) if p.geom_type == "LineString" and not p.is_empty]
-            trails += [Trail(_role(row, target, other), shapely.get_coordinates(p)) for p in pieces]
+            trails += [Trail(_role(row, target, attacker), shapely.get_coordinates(p)) for p in pieces]
     return tuple(trails)
 
 
-def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> tuple[Box, ...]:
+def _boxes(tracks: Tracks, target: int, attacker: int | None, view: NetWindow) -> tuple[Box, ...]:
     box_stride = max(1, round(BOX_SPACING_S / tracks.dt_s))
     first_step = round(tracks.t0_s / tracks.dt_s)
     last_step = tracks.steps - 1
@@ -198,8 +198,8 @@ def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> t
     labelled: dict[int, FloatArray] = {}
     boxes = []
     for k in box_steps:
-        for row in _drawing_order(tracks, target, other):
-            role = _role(row, target, other)
+        for row in _drawing_order(tracks, target, attacker):
+            role = _role(row, target, attacker)
             if (
                 tracks.valid[row, k]
                 and (role is not Role.OTHER or k == last_step)
@@ -208,7 +208,7 @@ def _boxes(tracks: Tracks, target: int, other: int | None, view: NetWindow) -> t
                 text = _label(tracks, row, k, labelled) if role is not Role.OTHER else ""
                 age = (last_step - k) / max(last_step, 1)
                 outline = corners(tracks.xy_m[row, k], tracks.yaw_rad[row, k], tracks.size_m[row])
-                side = _label_side(tracks, row, k, target, other)
+                side = _label_side(tracks, row, k, target, attacker)
                 boxes.append(Box(role, outline, age, text, tracks.xy_m[row, k], side))
     return tuple(boxes)
 
@@ -222,7 +222,7 @@ def _label(tracks: Tracks, row: int, k: int, labelled: dict[int, FloatArray]) ->
     return f"{tracks.times_s[k]:.1f}".removesuffix(".0")
 
 
-def _label_side(tracks: Tracks, row: int, k: int, target: int, other: int | None) -> FloatArray:
+def _label_side(tracks: Tracks, row: int, k: int, target: int, attacker: int | None) -> FloatArray:
     """Return the direction (2,) from a box to its label.
 
     The labels of target and attacker that are near each other point away from each other. Otherwise labels are on the
@@ -230,7 +230,7 @@ def _label_side(tracks: Tracks, row: int, k: int, target: int, other: int | None
     """
     yaw = tracks.yaw_rad[row, k]
     right = np.array([np.sin(yaw), -np.cos(yaw)])
-    opponent = other if row == target else target
+    opponent = attacker if row == target else target
     to_opponent = np.full(2, np.nan) if opponent is None else tracks.xy_m[opponent, k] - tracks.xy_m[row, k]
     if abs(to_opponent @ right) > _MIN_LATERAL_M and np.hypot(*to_opponent) < _LABELS_APART_WITHIN_M:
         return right if to_opponent @ right < 0.0 else -right
@@ -242,12 +242,12 @@ def _inside(xy_m: FloatArray, view: NetWindow) -> bool:
     return bool(view.x0_m <= xy_m[0] <= view.x1_m and view.y0_m <= xy_m[1] <= view.y1_m)
 
 
-def _drawing_order(tracks: Tracks, target: int, other: int | None) -> list[int]:
-    special = [row for row in (other, target) if row is not None]
-    return [row for row in range(tracks.agents) if row not in special] + special
+def _drawing_order(tracks: Tracks, target: int, attacker: int | None) -> list[int]:
+    on_top = [row for row in (attacker, target) if row is not None]
+    return [row for row in range(tracks.agents) if row not in on_top] + on_top
 
 
-def _role(row: int, target: int, other: int | None) -> Role:
+def _role(row: int, target: int, attacker: int | None) -> Role:
     if row == target:
         return Role.TARGET
-    return Role.ATTACKER if row == other else Role.OTHER
+    return Role.ATTACKER if row == attacker else Role.OTHER

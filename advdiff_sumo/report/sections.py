@@ -59,13 +59,13 @@ class Section:
 class _Budget:
     """A limit of bytes; the first text always fits."""
 
-    def __init__(self, most: int) -> None:
-        self.most, self.used, self.full = most, 0, False
+    def __init__(self, limit: int) -> None:
+        self.limit, self.used, self.full = limit, 0, False
 
     def accepts(self, text: str) -> bool:
         """Return whether *text* fits, and count its bytes; after the first text that does not fit, none fits."""
         size = len(text.encode())
-        self.full = self.full or (self.used > 0 and self.used + size > self.most)
+        self.full = self.full or (self.used > 0 and self.used + size > self.limit)
         self.used += 0 if self.full else size
         return not self.full
 
@@ -186,7 +186,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
     has_collided = bool(row["target_collision"])
     contact = row["collision_time_s"] if has_collided else None
     moment = contact if contact is not None else row["min_clearance_time_s"]
-    others = [c for c in contacts if not c["with_target"] and not c["initial"]]
+    background_collisions = [c for c in contacts if not c["with_target"] and not c["initial"]]
     return {
         "number": int(row["episode"]),
         "title": f"Episode {row['episode']}: {title(row)}",
@@ -200,7 +200,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
         "impact": [row["impact_x_m"], row["impact_y_m"]]
         if has_collided and row["impact_x_m"] is not None
         else None,
-        "others": [[c["impact_x_m"], c["impact_y_m"], c["time_s"]] for c in others],
+        "others": [[c["impact_x_m"], c["impact_y_m"], c["time_s"]] for c in background_collisions],
         "charts": {chart.title.rpartition(" (")[0]: chart.summary for chart in charts},
     }
 

@@ -98,8 +98,8 @@ class ChosenEpisode:
         end = end_s if end_s is not None else min(last_s, last_s if event_s is None else float(event_s))
         start = start_s if start_s is not None else max(0.0, end - most_s)
         if not 0.0 <= start < end <= last_s + 1e-6:
-            asked = f"{start:g} to {end:g} s"
-            raise ConfigError(f"{asked} is no stretch of the episode; it lasts from 0 to {last_s:g} s")
+            requested = f"{start:g} to {end:g} s"
+            raise ConfigError(f"{requested} is no stretch of the episode; it lasts from 0 to {last_s:g} s")
         return start, end
 
     def view(self, start_s: float, end_s: float, aspect: float) -> NetWindow:

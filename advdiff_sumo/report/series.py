@@ -93,5 +93,5 @@ def gap_to(tracks: Tracks, target: int, other: int) -> FloatArray:
 
 
 def _nan_minimum(values: FloatArray) -> FloatArray:
-    least = np.where(np.isfinite(values), values, np.inf).min(axis=0)
-    return np.where(np.isfinite(least), least, np.nan)
+    minimum = np.where(np.isfinite(values), values, np.inf).min(axis=0)
+    return np.where(np.isfinite(minimum), minimum, np.nan)

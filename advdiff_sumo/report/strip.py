@@ -72,18 +72,18 @@ def film_strip(
 def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:
     """Return the strip as a figure of matplotlib."""
     width, height = _PANEL_IN * len(moments_s), _PANEL_IN + _LEGEND_IN
-    drawn = Figure(figsize=(width, height), dpi=130, facecolor="white")
-    FigureCanvasAgg(drawn)
+    fig = Figure(figsize=(width, height), dpi=130, facecolor="white")
+    FigureCanvasAgg(fig)
     views = _views(chosen, moments_s.tolist(), start_s)
     for k, (moment, view) in enumerate(zip(moments_s.tolist(), views, strict=True)):
         gap = 0.02 / len(moments_s)
         left, share = k / len(moments_s) + gap / 2, 1.0 / len(moments_s) - gap
-        axes = drawn.add_axes((left, _LEGEND_IN / height, share, 1.0 - _LEGEND_IN / height))
+        axes = fig.add_axes((left, _LEGEND_IN / height, share, 1.0 - _LEGEND_IN / height))
         frame_axes(axes, view)
         axes.set_facecolor(GROUND)
         _draw_panel(axes, chosen, view, start_s, moment)
-    _draw_legend(drawn, chosen)
-    return drawn
+    _draw_legend(fig, chosen)
+    return fig
 
 
 def _views(chosen: ChosenEpisode, moments_s: list[float], start_s: float) -> list[NetWindow]:
@@ -137,8 +137,8 @@ def _draw_circles(
         axes.plot(*point, "o", color=colour, alpha=opacity, markersize=4.2, mec="white", mew=0.5, zorder=4.5)
 
 
-def _draw_legend(drawn: Figure, chosen: ChosenEpisode) -> None:
-    hit = chosen.contact_s is not None
+def _draw_legend(fig: Figure, chosen: ChosenEpisode) -> None:
+    has_collided = chosen.contact_s is not None
     names = {
         Role.TARGET: "target",
         Role.ATTACKER: "collision partner" if chosen.row["collision_partner"] else "nearest vehicle",
@@ -153,10 +153,10 @@ def _draw_legend(drawn: Figure, chosen: ChosenEpisode) -> None:
     )
     if chosen.natural is not None:
         handles.append(Line2D([], [], color="#b8c0c6", linewidth=3, label="without attack"))
-    if hit:
+    if has_collided:
         handles.append(
             Line2D([], [], color=IMPACT, marker="x", linestyle="", markeredgewidth=2.4, label="contact")
         )
-    drawn.legend(
+    fig.legend(
         handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False, borderpad=0.2
     )

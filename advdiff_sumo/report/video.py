@@ -98,16 +98,16 @@ def _frames(
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield frames (H, W, 3), H and W even; the streets are drawn only once."""
     view = chosen.view(start_s, end_s, _ASPECT)
-    drawn = Figure(figsize=(_WIDTH_PX / _DPI, _WIDTH_PX / _ASPECT / _DPI), dpi=_DPI, facecolor=GROUND)
-    canvas: Any = FigureCanvasAgg(drawn)  # matplotlib leaves these methods untyped
-    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
+    fig = Figure(figsize=(_WIDTH_PX / _DPI, _WIDTH_PX / _ASPECT / _DPI), dpi=_DPI, facecolor=GROUND)
+    canvas: Any = FigureCanvasAgg(fig)  # matplotlib leaves these methods untyped
+    axes = fig.add_axes((0.0, 0.0, 1.0, 1.0))
     frame_axes(axes, view)
     axes.set_axis_off()
     if chosen.layer is not None:
         points_per_m = 72.0 * _WIDTH_PX / _DPI / view.width_m
         draw_streets(axes, chosen.layer.streets(view, tolerance_m=0.05), points_per_m)
     canvas.draw()
-    streets = canvas.copy_from_bbox(drawn.bbox)
+    streets = canvas.copy_from_bbox(fig.bbox)
     for moment in moments_s.tolist():
         canvas.restore_region(streets)
         for artist in _artists(axes, chosen, moment):

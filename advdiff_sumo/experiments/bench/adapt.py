@@ -77,8 +77,10 @@ def adapt(
         EpisodeFailure: a target fails in several episodes in a row, ends its process, or takes too long.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    missing_by_path = {one.path(folder, one.marks[-1]): one for one in adaptations if one.missing(folder)}
-    missing = list(missing_by_path.values())
+    missing = [adaptation for adaptation in adaptations if adaptation.missing(folder)]
+    missing = list(
+        {adaptation.path(folder, adaptation.marks[-1]): adaptation for adaptation in missing}.values()
+    )
     reporter.begin("warm-ups", len(adaptations), len(adaptations) - len(missing))
     episodes = max(map(_episodes, missing), default=1)
     warm_up_limits = replace(limits, timeout_s=episodes * limits.timeout_s)
@@ -126,8 +128,8 @@ def _warm_up(adaptation: Adaptation, folder: Path) -> bytes:
 
     marks = adaptation.marks
     models = {}
-    done = warm_up(options, marks[-1], lambda _: None, marks, lambda mark, q: models.update({mark: q}))
-    header = description(options, done)
+    result = warm_up(options, marks[-1], lambda _: None, marks, lambda mark, q: models.update({mark: q}))
+    header = description(options, result)
     for mark in marks:
         save_reward(models[mark], adaptation.path(folder, mark), {**header, "steps": mark})
     return b""
@@ -140,5 +142,5 @@ def _learn_failures(adaptation: Adaptation, options: RunOptions, folder: Path) -
 
     options = options.model_copy(update={"horizon_s": min(adaptation.horizon_s, EPISODE_S)})
     for mark in adaptation.marks:
-        done = warm_up_failures(options, mark, lambda _: None)
-        save_failures(done.predictor, adaptation.path(folder, mark), header(options, done))
+        result = warm_up_failures(options, mark, lambda _: None)
+        save_failures(result.predictor, adaptation.path(folder, mark), header(options, result))

@@ -32,26 +32,26 @@ _ALLOWED_WITH_LIST = ("background_options", "target_options")
 """Options that may be set with a list, as they do not change its scenes."""
 
 
-def is_log(asked: str) -> bool:
+def is_log(requested: str) -> bool:
     """Return whether ``--scenes`` names a driving log: a folder, or a file with the suffix of a log."""
-    path = Path(asked)
+    path = Path(requested)
     return path.is_dir() or (path.is_file() and path.suffix in _LOG_FILES)
 
 
-def bench_scenes(asked: str, name: str, folder: Path | None) -> SceneList:
+def bench_scenes(requested: str, name: str, folder: Path | None) -> SceneList:
     """Return the seed scenes of ``--scenes``, of a list or of a driving log.
 
     Args:
-        asked: a number, the file of a list, or the root of a log.
-        name: the shipped list, if *asked* is a number.
+        requested: a number, the file of a list, or the root of a log.
+        name: the shipped list, if *requested* is a number.
         folder: of the bench, where nets are stored. None: a log is only opened, and the returned list is empty.
 
     Raises:
         InputError: there is no such list, number or log, or no drive of the log can be used.
     """
-    if not is_log(asked):
-        return choose_scenes(asked, name)
-    log = Path(asked).resolve()
+    if not is_log(requested):
+        return choose_scenes(requested, name)
+    log = Path(requested).resolve()
     reader = open_log(log)
     if folder is None:
         return SceneList(nets={}, sumo=version("libsumo"), scenes=(), log=str(log))

@@ -117,16 +117,16 @@ def defects_table(
     heads = tuple(Head(name, policy_row(name).title, "%", 100.0, 1) for name in names)
     lines: list[Line] = []
     for target in dict.fromkeys(contest.target for contest in contests):
-        by_background = {contest.background: contest for contest in contests if contest.target == target}
-        lines.append(_sound_line(target, by_background))
-        defects = dict.fromkeys(name for contest in by_background.values() for name in contest.defective)
-        lines += [_defect_line(target, defect, by_background) for defect in defects]
+        by_row = {contest.background: contest for contest in contests if contest.target == target}
+        lines.append(_sound_line(target, by_row))
+        defects = dict.fromkeys(name for contest in by_row.values() for name in contest.defective)
+        lines += [_defect_line(target, defect, by_row) for defect in defects]
         if defects:
-            lines.append(_score_line(target, by_background))
+            lines.append(_score_line(target, by_row))
     scenes = cells.scenes
     title = f"Planted defects: {counted(len(scenes.scenes), 'seed scene')}, {folder.request.horizon_s:g} s"
-    sentences = tuple(_first_note(one) + _rank_note(one.auc) for one in contests if one.defective)
-    planted_count = {one.target: len(one.detections) for one in contests}
+    sentences = tuple(_first_note(each) + _rank_note(each.auc) for each in contests if each.defective)
+    planted_count = {contest.target: len(contest.detections) for contest in contests}
     warnings = (too_few_scenes(len(scenes.scenes), target, count) for target, count in planted_count.items())
     sentences = (*sentences, *(sentence for sentence in warnings if sentence))
     notes = (*NOTES, *sentences, *_source_note(folder), *notes_of(gathered, scenes, folder, ()))
@@ -162,7 +162,8 @@ def first_text(contests: tuple[Contest, ...]) -> str:
         if not contest.defective:
             continue
         detected = sum(one.detected for one in contest.detections)
-        outcomes = [one for tried in (contest.sound, *contest.defective.values()) for one in tried.values()]
+        planners = (contest.sound, *contest.defective.values())
+        outcomes = [outcome for planner in planners for outcome in planner.values()]
         total_cpu_s = sum(outcome.cpu_s for outcome in outcomes)
         first = contest.first
         cost = ("", "", "", "")
@@ -194,7 +195,8 @@ def _scene_outcomes(episodes: list[EpisodeResult], order: Mapping[str, int]) -> 
 
 def _failure_shares(planners: Iterable[SceneOutcomes]) -> list[float]:
     """Return the share of valid failures of each planner with finished episodes."""
-    return [sum(one.failed for one in outcomes.values()) / len(outcomes) for outcomes in planners if outcomes]
+    flags = [[outcome.failed for outcome in planner.values()] for planner in planners if planner]
+    return [sum(failed) / len(failed) for failed in flags]
 
 
 def _rate(outcomes: SceneOutcomes) -> Ratio:

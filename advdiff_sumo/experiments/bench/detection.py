@@ -135,12 +135,12 @@ def first_detection(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]
     for count in range(1, len(sound) + 1):
         scenes = dict(islice(sound.items(), count))
         so_far = {
-            name: {scene: outcome for scene, outcome in tried.items() if scene in scenes}
-            for name, tried in defective.items()
+            name: {scene: outcome for scene, outcome in planner.items() if scene in scenes}
+            for name, planner in defective.items()
         }
         names = tuple(test.defect for test in detections(scenes, so_far) if test.detected)
         if names:
-            outcomes = [outcome for tried in (scenes, *so_far.values()) for outcome in tried.values()]
+            outcomes = [outcome for planner in (scenes, *so_far.values()) for outcome in planner.values()]
             return FirstDetection(names, count, len(outcomes), sum(outcome.cpu_s for outcome in outcomes))
     return None
 

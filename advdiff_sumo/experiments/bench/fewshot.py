@@ -215,8 +215,8 @@ class Pooled:
         earlier = before._rows(np.array([position[self.scenes[k]] for k in rows]))
         warm_ups, scenes = _bootstrap_draws(after.hits.shape)
         ones = np.ones((len(scenes), len(earlier.hits)))
-        drawn = np.percentile(after.at(warm_ups, scenes) - earlier.at(ones, scenes), TAILS)
-        low, high = spread(float(drawn[0]), float(drawn[1]), len(rows))
+        interval = np.percentile(after.at(warm_ups, scenes) - earlier.at(ones, scenes), TAILS)
+        low, high = spread(float(interval[0]), float(interval[1]), len(rows))
         return Difference(float(after.hits.mean() - earlier.hits.mean()), low, high, None, len(rows))
 
     def _rows(self, rows: IntArray) -> Pooled:
@@ -226,7 +226,7 @@ class Pooled:
 def pooled(runs: Sequence[Sequence[EpisodeResult]]) -> Pooled:
     """Return the collisions of *runs* on the scenes that all of them finished."""
     flags = [{result.scene: float(bool(result.row["target_collision"])) for result in run} for run in runs]
-    scenes = tuple(scene for scene in flags[0] if all(scene in other for other in flags))
+    scenes = tuple(scene for scene in flags[0] if all(scene in by_scene for by_scene in flags))
     return Pooled(scenes, np.array([[by_scene[scene] for scene in scenes] for by_scene in flags]))
 
 

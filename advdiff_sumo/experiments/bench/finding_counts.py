@@ -75,7 +75,7 @@ def rarefied(members: Iterable[int], total: int, drawn: int) -> float | None:
 
 def first_costs(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]) -> list[float]:
     """Return the processor time (s) until each defect is detected if tested alone; infinite if it never is."""
-    firsts = [first_detection(sound, {name: tried}) for name, tried in defective.items()]
+    firsts = [first_detection(sound, {name: outcomes}) for name, outcomes in defective.items()]
     return [math.inf if first is None else first.cpu_s for first in firsts]
 
 

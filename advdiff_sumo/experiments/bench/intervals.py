@@ -238,8 +238,8 @@ def _bias_corrected(sample: Sample, drawn: FloatArray, value: float) -> FloatArr
 
 
 def _percentiles(values: FloatArray, lower_bound: float = -np.inf) -> tuple[float | None, float | None]:
-    known = values[~np.isnan(values)]
-    if not len(known):
+    defined = values[~np.isnan(values)]
+    if not len(defined):
         return None, None
-    low, high = np.maximum(np.percentile(known, TAILS), lower_bound)
+    low, high = np.maximum(np.percentile(defined, TAILS), lower_bound)
     return float(low), float(high)

@@ -53,11 +53,11 @@ def natural_nats(road: RoadMap, tracks: Tracks, target: int, counted: BoolArray)
     table = road.pieces(_bundle().options.model.map_view)
     windows = WindowFileBuilder(table, road.name, "episode")
     window_rows: list[tuple[int, ...]] = []
-    for now in range(PAST - 1, tracks.steps - _MIN_FUTURE_STEPS, _WINDOW_STRIDE):
-        if tracks.valid[target, now]:
-            rows = crop(tracks.xy_m[:, now], target)
+    for step in range(PAST - 1, tracks.steps - _MIN_FUTURE_STEPS, _WINDOW_STRIDE):
+        if tracks.valid[target, step]:
+            rows = crop(tracks.xy_m[:, step], target)
             parked = np.zeros(tracks.agents, dtype=np.bool_)
-            window = window_arrays(tracks, now, rows, parked, table, {}, "episode")
+            window = window_arrays(tracks, step, rows, parked, table, {}, "episode")
             windows.windows.append(window)
             window_rows.append(tuple(rows.tolist()))
     if not window_rows:

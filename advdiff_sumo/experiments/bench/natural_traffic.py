@@ -96,7 +96,7 @@ def chosen_models(request: Request, reporter: ProgressReporter) -> tuple[str, ..
         FileError: a window file cannot be used.
     """
     requested = request.policies
-    given_view = read_window_set([Path(place) for place in request.data]).map_view if request.data else None
+    given_view = read_window_set([Path(path) for path in request.data]).map_view if request.data else None
     for name in requested:
         if name not in MODELS:
             raise ConfigError(
@@ -140,7 +140,7 @@ def _requested_count(requested: str, total: int) -> int:
 def _window_files(folder: Folder, workers: int, reporter: ProgressReporter, view: MapView) -> list[Path]:
     """Return the given window files, or generate windows with the map's *view* in the folder and return its path."""
     if folder.request.data:
-        return [Path(place) for place in folder.request.data]
+        return [Path(path) for path in folder.request.data]
     folder_path = folder.path / ("windows" if view == "near" else f"windows-{view}")
     options = SimulateOptions(windows=WINDOWS, seed=WINDOWS_SEED, random_share=MADE_UP_SHARE, view=view)
     shards = plan(options)
@@ -166,7 +166,7 @@ def _counted(
     """Return the counts of each row, joined over the seeds; chunks of windows that the folder has are not repeated."""
     request, cache = folder.request, folder.path / "counted"
     cache.mkdir(parents=True, exist_ok=True)
-    files = tuple(str(place) for place in window_files)
+    files = tuple(str(path) for path in window_files)
     chunks = [tuple(rows[k : k + CHUNK].tolist()) for k in range(0, len(rows), CHUNK)]
     chunk_by_key = {
         digest([windows.digest, name, chunk, request.samples, seed]): (name, chunk, seed)

@@ -73,11 +73,11 @@ def background_samples(
     """
     scenes = tuple(result.scene for result in results)
     vehicles = np.array([result.trace.vehicles for result in results], dtype=np.float64)
-    hit = np.array([result.trace.hit for result in results], dtype=np.float64)
+    collided = np.array([result.trace.hit for result in results], dtype=np.float64)
     has_moved = np.array([result.trace.off_road is not None for result in results], dtype=np.bool_)
     counts = has_moved | (not plans)  # a policy is not rated by episodes in which it moved no vehicle
     samples: dict[str, Sample] = {
-        "veh_rate": Ratio(scenes, np.where(counts, hit, 0.0), np.where(counts, vehicles, 0.0), rate=True)
+        "veh_rate": Ratio(scenes, np.where(counts, collided, 0.0), np.where(counts, vehicles, 0.0), rate=True)
     }
     if has_moved.any():
         off_road = np.array([result.trace.off_road or 0 for result in results], dtype=np.float64)
@@ -115,12 +115,12 @@ def _rate(results: Sequence[EpisodeResult], happened: Callable[[Any], bool]) -> 
 
 
 def _shares(values: Sequence[tuple[str, bool | None]]) -> Ratio:
-    known = [(scene, flag) for scene, flag in values if flag is not None]
-    flags = np.array([flag for _, flag in known], dtype=np.float64)
-    return Ratio(tuple(scene for scene, _ in known), flags, np.ones(len(flags)), rate=True)
+    judged = [(scene, flag) for scene, flag in values if flag is not None]
+    flags = np.array([flag for _, flag in judged], dtype=np.float64)
+    return Ratio(tuple(scene for scene, _ in judged), flags, np.ones(len(flags)), rate=True)
 
 
 def _mean(results: Sequence[EpisodeResult], column: str) -> Ratio:
-    known = [result for result in results if result.row[column] is not None]
-    values = np.array([float(result.row[column]) for result in known])
-    return Ratio(tuple(result.scene for result in known), values, np.ones(len(values)))
+    with_value = [result for result in results if result.row[column] is not None]
+    values = np.array([float(result.row[column]) for result in with_value])
+    return Ratio(tuple(result.scene for result in with_value), values, np.ones(len(values)))

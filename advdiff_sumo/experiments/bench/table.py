@@ -216,7 +216,7 @@ def _best_row(head: Head, rivals: Sequence[RowSamples]) -> RowSamples | None:
 
 def _best_value(head: Head, rows: Sequence[Mapping[str, Estimate]]) -> float | None:
     values = [row[head.key].value for row in rows if head.key in row]
-    known = [value for value in values if value is not None]
-    if not known or not head.better or len(known) < 2:
+    defined = [value for value in values if value is not None]
+    if not defined or not head.better or len(defined) < 2:
         return None
-    return max(known) if head.better == "high" else min(known)
+    return max(defined) if head.better == "high" else min(defined)

@@ -128,8 +128,10 @@ def _samples(target: str, results: Sequence[EpisodeResult]) -> dict[str, Sample]
     samples: dict[str, Sample] = {f"{target}:av_rate": collision_samples(results)["collision_rate"]}
     env, veh = background.get("env_rate"), background.get("veh_rate")
     if isinstance(env, Ratio) and isinstance(veh, Ratio):
-        both = np.array([result.trace.both for result in results], dtype=np.float64)
-        samples[f"{target}:bv_rate"] = Ratio(veh.scenes, env.total + veh.total - both, veh.count, rate=True)
+        collided_and_left = np.array([result.trace.both for result in results], dtype=np.float64)
+        samples[f"{target}:bv_rate"] = Ratio(
+            veh.scenes, env.total + veh.total - collided_and_left, veh.count, rate=True
+        )
     return samples
 
 
@@ -219,6 +221,6 @@ def share_kept(pairs: Sequence[tuple[Sample, Sample]]) -> Estimate:
     value = float(share(np.ones((1, len(common))))[0])
     if np.isnan(value):
         return Estimate(n=len(common))
-    drawn = share(draws(len(common)))
-    low, high = np.nanpercentile(drawn, TAILS)
+    resampled = share(draws(len(common)))
+    low, high = np.nanpercentile(resampled, TAILS)
     return Estimate(value, float(low), float(high), len(common))

@@ -1,12 +1,17 @@
-"""Moving vehicles by moveToXY, so that SUMO's drivers see them (measured traps: docs/sumo.md).
+"""Move vehicles with SUMO's moveToXY, so that SUMO's drivers react to them (measured behaviour: docs/sumo.md).
 
-Rules that SUMO does not state: a vehicle must have been on a lane before anything else; off the lanes, or with its
-front bumper beside the lane that SUMO holds it on, nobody sees it, and with sublanes a step can end the process, so it
-is taken out of SUMO until it comes back to a lane (our own states go on); removed straight after a move, a vehicle can
-end a step, too, so that it is left to SUMO for one before; on a junction it needs a route over the junction's lane,
-and cannot be given another; a moved vehicle loses its route unless it is given the edges that it is about to drive; its
-speed, as others see it, is clipped to the lane's limit times its speed factor; and with a stop ahead it is the speed of
-SUMO's own driver, so that followers run into who stands, and stops are set aside.
+SUMO does not document these rules, which this module follows:
+
+1. A vehicle must have been on a lane before anything else is done with it.
+2. SUMO's drivers do not see a vehicle that is off the lanes, or whose front bumper is beside the lane that SUMO has it
+   on. With sublanes the next step can then end the process. Such a vehicle is removed from SUMO and inserted again when
+   it is back on a lane; the package's own states continue meanwhile.
+3. Removing a vehicle directly after a move can also end the process. SUMO first drives it for one step.
+4. On a junction a vehicle needs a route over the junction's lane, and the route cannot be changed there.
+5. A moved vehicle loses its route unless SUMO is given the edges that the vehicle is about to drive.
+6. Other drivers see a speed of at most the lane's limit times the vehicle's speed factor.
+7. If a stop lies ahead, they see the speed of SUMO's own driver, so that followers run into a standing vehicle. Stops
+   are therefore removed while the vehicle is moved.
 """
 
 from __future__ import annotations
@@ -26,24 +31,27 @@ from advdiff_sumo.core.sumo_classes import VCLASS_OF_CLASS
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.world import World
 
-# moveToXY's keepRoute: 1 is the nearest place on the own route, 2 and 3 the exact one, 3 on the own route only
-_ON_ROUTE, _ANY_EDGE, _OWN_ROUTE = 1, 2, 3
-_FREE_SPEED_FACTOR, _FREE_MAX_SPEED = 20.0, 90.0
-_SAME_PLACE_M = 0.2
-_NO_CHECKS = 0  # SUMO's speed mode and lane-change mode without any
-_USUAL_SPEED_MODE, _USUAL_LANE_CHANGE_MODE = 31, 1621
+# Values of moveToXY's keepRoute.
+_NEAREST_ON_ROUTE = 1  # the nearest position on the vehicle's own route
+_EXACT_ANY_EDGE = 2  # the exact position, on any edge
+_EXACT_ON_ROUTE = 3  # the exact position, on the vehicle's own route only
+# High enough that the lane's limit never reduces the speed of a moved vehicle.
+_FREE_SPEED_FACTOR, _FREE_MAX_SPEED_MPS = 20.0, 90.0
+_SAME_OFFSET_M = 0.2
+_NO_CHECKS = 0  # SUMO's speed mode and lane-change mode without any checks
+_DEFAULT_SPEED_MODE, _DEFAULT_LANE_CHANGE_MODE = 31, 1621  # SUMO's defaults
 
 
 @dataclass
 class MovedVehicle:
-    """What SUMO had set for a vehicle before we moved it, and the route that we gave it.
+    """What SUMO had set for a vehicle before it was moved, and the route given to it since.
 
     Attributes:
-        speed_factor: SUMO's own, to be restored.
-        max_speed_mps: SUMO's own, to be restored.
-        stops: SUMO's own, still ahead, to be restored.
-        route: edges last given to SUMO; () where it may look for a lane anywhere.
-        inserted: False until SUMO has taken the vehicle in.
+        speed_factor: SUMO's own value, to be restored.
+        max_speed_mps: SUMO's own value, to be restored.
+        stops: SUMO's stops that still lie ahead, to be restored.
+        route: edges last given to SUMO; () if SUMO may look for a lane on any edge.
+        inserted: False until SUMO has inserted the vehicle.
     """
 
     speed_factor: float
@@ -55,15 +63,15 @@ class MovedVehicle:
 
 @dataclass
 class Actuator:
-    """Holds the moved vehicles of one episode.
+    """Moves vehicles of one episode in SUMO.
 
     Attributes:
         api: libsumo or traci.
         world: rows and states.
         road: the map.
-        moved: row → what we changed in SUMO.
-        outside: rows that we move off the lanes, where SUMO has no use for them.
-        refused: rows that SUMO would not take in on the lane nearest to them; they stay outside.
+        moved: row → what was changed in SUMO.
+        outside: rows of vehicles that are moved off the lanes, and are therefore not in SUMO.
+        refused: rows that SUMO refused to insert on the lane nearest to them; they stay outside.
     """
 
     api: Any
@@ -73,245 +81,260 @@ class Actuator:
     outside: set[int] = field(default_factory=set)
     refused: set[int] = field(default_factory=set)
     _leaving: set[int] = field(default_factory=set)
-    _before: dict[int, tuple[str, ...]] = field(default_factory=dict)
-    _entries: dict[int, int] = field(default_factory=dict)
+    _last_edges: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    _insert_counts: dict[int, int] = field(default_factory=dict)
 
     @property
-    def ours(self) -> set[int]:
-        """Rows that we move, in SUMO or outside, and those that SUMO is about to lose."""
+    def controlled_rows(self) -> set[int]:
+        """Rows whose states are this package's own: in SUMO, outside it, or about to be removed from it."""
         return self.outside | self.moved.keys() | self._leaving
 
     def take(self, row: int) -> None:
-        """Begin to move *row*, which is on a lane."""
+        """Begin to move *row*, which is on a lane and so far driven by SUMO."""
         vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
         speed_factor, max_speed = vehicle.getSpeedFactor(name), vehicle.getMaxSpeed(name)
         self.moved[row] = MovedVehicle(speed_factor, max_speed, _set_aside_stops(vehicle, name))
-        vehicle.setMaxSpeed(name, _FREE_MAX_SPEED)  # draws the speed factor anew, so it comes first
+        vehicle.setMaxSpeed(name, _FREE_MAX_SPEED_MPS)  # resets the speed factor, so it comes first
         vehicle.setSpeedFactor(name, _FREE_SPEED_FACTOR)
         vehicle.setSpeedMode(name, _NO_CHECKS)
         vehicle.setLaneChangeMode(name, _NO_CHECKS)
 
     def release(self, row: int, route: Sequence[str] = ()) -> None:
-        """Hand *row* back to SUMO at its present pose and speed."""
-        before = self.moved.pop(row)
+        """Let SUMO drive *row* again, from its present pose and speed."""
+        original = self.moved.pop(row)
         name, vehicle = self.world.sumo_ids[row], self.api.vehicle
         if route:
             self._set_route(name, tuple(route))
-        vehicle.setMaxSpeed(name, before.max_speed_mps)
-        vehicle.setSpeedFactor(name, before.speed_factor)
-        vehicle.setSpeedMode(name, _USUAL_SPEED_MODE)
-        vehicle.setLaneChangeMode(name, _USUAL_LANE_CHANGE_MODE)
+        vehicle.setMaxSpeed(name, original.max_speed_mps)
+        vehicle.setSpeedFactor(name, original.speed_factor)
+        vehicle.setSpeedMode(name, _DEFAULT_SPEED_MODE)
+        vehicle.setLaneChangeMode(name, _DEFAULT_LANE_CHANGE_MODE)
         vehicle.setPreviousSpeed(name, max(float(self.world.speed_mps[row]), 0.0))
-        _restore_stops(vehicle, name, before.stops)
+        _restore_stops(vehicle, name, original.stops)
 
     def insert(self, row: int, type_id: str) -> None:
-        """Bring *row* into SUMO: on the lane nearest to its pose in the next step, exactly from then on.
+        """Insert *row* into SUMO: in the next step on the lane nearest to its pose, after that exactly at its pose.
 
         Raises:
-            NotInsertedError: the net has no lane to put it on, or SUMO refuses it.
+            NotInsertedError: the net has no suitable lane, or SUMO refuses the vehicle.
         """
         vclass = VCLASS_OF_CLASS[AgentClass(int(self.world.classes[row]))]
         name = self._fresh_name(row)
-        place = self._entrance(row, vclass)
-        if place is None:
+        insertion = self._insertion_point(row, vclass)
+        if insertion is None:
             raise NotInsertedError(f"no lane of {self.road.name} is open to '{name}', a {vclass}")
-        lane_id, front, along = place
+        lane_id, bumper, heading_rad = insertion
         try:
             self.api.route.add(f"insert:{name}", self._edges_at(lane_id))
             self.api.vehicle.add(name, f"insert:{name}", typeID=type_id, depart="now", departPos="base")
             self._set_size(name, row)
-            # keepRoute 0 before it departs would give it this route again and again, whatever setRoute says
+            # keepRoute 0 before departure would reset the route in every later step, whatever setRoute says
             self.api.vehicle.moveToXY(
-                name, "", -1, *front.tolist(), angle=float(sumo_from_yaw(along)), keepRoute=_ON_ROUTE
+                name,
+                "",
+                -1,
+                *bumper.tolist(),
+                angle=float(sumo_from_yaw(heading_rad)),
+                keepRoute=_NEAREST_ON_ROUTE,
             )
         except Exception as error:
-            self._forget(name)
+            self._cancel_insertion(name)
             raise NotInsertedError(f"SUMO refuses to insert '{name}': {error}") from error
-        self.moved[row] = MovedVehicle(1.0, _FREE_MAX_SPEED, inserted=False)
+        self.moved[row] = MovedVehicle(1.0, _FREE_MAX_SPEED_MPS, inserted=False)
         self.outside.discard(row)
 
-    def _entrance(self, row: int, vclass: str) -> tuple[str, FloatArray, float] | None:
-        """Return the lane nearest to *row*, and the front bumper (2,) and heading that it would have in its middle.
+    def _insertion_point(self, row: int, vclass: str) -> tuple[str, FloatArray, float] | None:
+        """Return the lane nearest to *row*, with front bumper (2,) and heading of a vehicle centred on it there.
 
-        Who has just been taken out gets the lane on which its bumper is: one that leads on from where it was, if any.
+        A vehicle that has just been removed from SUMO gets the lane under its bumper, preferably one that leads on from
+        the lane where it was.
         """
         xy, yaw, length = self.world.xy_m[row], self.world.yaw_rad[row], self.world.size_m[row, 0]
-        before = self._before.pop(row, None)
-        if before is None:
+        last_edges = self._last_edges.pop(row, None)
+        if last_edges is None:
             pose = self.road.locate(xy, float(yaw), vclass=vclass, max_distance_m=np.inf)
         else:
             bumper = bumper_from_centre(xy, yaw, length)
-            pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf, route=before)
+            pose = self.road.locate(
+                bumper, float(yaw), vclass=vclass, max_distance_m=np.inf, route=last_edges
+            )
             if pose is not None and abs(pose.d_m) > 0.5 * self.road.lanes[pose.lane_id].width_m:
                 pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf)
         if pose is None:
             return None
-        point, along = self.road.to_world(pose.lane_id, pose.s_m)
-        front = bumper_from_centre(point, along, length) if before is None else point
-        return pose.lane_id, front, float(along)
+        lane_xy, heading_rad = self.road.to_world(pose.lane_id, pose.s_m)
+        front = bumper_from_centre(lane_xy, heading_rad, length) if last_edges is None else lane_xy
+        return pose.lane_id, front, float(heading_rad)
 
     def _edges_at(self, lane_id: str) -> list[str]:
-        """Return the shortest route on which SUMO has *lane_id*: of a junction's lane, the edges that it connects."""
+        """Return the shortest route over *lane_id*; for a lane of a junction, the two edges that it connects."""
         link = self.road.link_over.get(lane_id)
         ends = (lane_id,) if link is None else (link.from_lane, link.to_lane)
         return [self.road.edge_of(lane) for lane in ends]
 
     def _set_size(self, name: str, row: int) -> None:
-        """Give *name* its own size in place of its type's, by which SUMO knows where its rear is."""
+        """Give *name* its own length and width in place of its type's; SUMO derives the rear from them."""
         length, width = self.world.size_m[row].tolist()
         self.api.vehicle.setLength(name, length)
         self.api.vehicle.setWidth(name, width)
 
     def try_insert(self, row: int, type_id: str) -> None:
-        """Bring *row* into SUMO, or note that SUMO refuses it and move it outside."""
+        """Insert *row* into SUMO; if SUMO refuses, note that and move *row* outside SUMO."""
         try:
             self.insert(row, type_id)
         except NotInsertedError:
             self.refused.add(row)
             self.outside.add(row)
 
-    def _forget(self, name: str) -> None:
-        """Take back what SUMO may have been told of *name* before it refused."""
-        with contextlib.suppress(Exception):  # libsumo and traci raise different kinds where it has none
+    def _cancel_insertion(self, name: str) -> None:
+        """Remove *name* from SUMO if the refused insertion left it there."""
+        with contextlib.suppress(Exception):  # libsumo and traci raise different types if there is none
             self.api.vehicle.remove(name)
 
     def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
-        """Return those of *rows* whose front bumpers' centres are on a lane at poses (N, 2), (N,)."""
+        """Return those of *rows* whose front bumper's centre is on a lane, with the vehicles at poses (N, 2), (N,)."""
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
         return set(rows[self.road.on_lane(bumper, yaw_rad)].tolist())
 
-    def settle(self, departed: Sequence[int]) -> None:
-        """Free vehicles that SUMO has just inserted for us from its own limits."""
+    def take_inserted(self, departed: Sequence[int]) -> None:
+        """Begin to move the vehicles among *departed* that SUMO has just inserted for us."""
         for row in departed:
             if row in self.moved and not self.moved[row].inserted:
                 self.take(row)
 
     def remove(self, row: int) -> None:
-        """Take *row* off the scene; SUMO loses it after the next step."""
+        """Remove *row* from the scene; SUMO loses it after the next step."""
         self.outside.discard(row)
-        self._leave(row)
+        self._remove_after_step(row)
 
-    def leave_lanes(self) -> IntArray:
-        """Take those out of SUMO that its last step has off the lanes, or beside the lane that it holds them on.
+    def remove_off_lanes(self) -> IntArray:
+        """Remove vehicles from SUMO that its last step has off the lanes, or beside the lane that it has them on.
 
-        And those that it was to keep for that step only (:meth:`_leave`). Returns the rows of the former.
+        Also remove the vehicles that SUMO was to drive for that step only (:meth:`_remove_after_step`). Return the rows
+        of the former.
         """
         for row in sorted(self._leaving & self.world.in_sumo):
-            self._drop(row)
+            self._remove_now(row)
         self._leaving.clear()
-        beside = [r for r, m in self.moved.items() if m.inserted and not self._on_its_lane(r)]
-        for row in beside:
+        off_lane = [row for row, moved in self.moved.items() if moved.inserted and not self._on_its_lane(row)]
+        for row in off_lane:
             del self.moved[row]
-            self._before[row] = self._ways_on(self.world.lane[row])
-            self._drop(row)
+            self._last_edges[row] = self._connected_edges(self.world.lane[row])
+            self._remove_now(row)
             self.outside.add(row)
-        return np.array(beside, dtype=np.int64)
+        return np.array(off_lane, dtype=np.int64)
 
-    def _ways_on(self, lane_id: str) -> tuple[str, ...]:
-        """Return edges among which is each that *lane_id*, or who is on it of a junction, comes from and leads to."""
+    def _connected_edges(self, lane_id: str) -> tuple[str, ...]:
+        """Return the edge of *lane_id* and its successors, alternating; a junction's lane belongs to the edge before."""
         link = self.road.link_over.get(lane_id)
         if lane_id not in self.road.lanes:
             return ()
         edge = self.road.edge_of(lane_id if link is None else link.from_lane)
-        return tuple(x for onward in self.road.edges[edge].successors for x in (edge, onward)) or (edge,)
+        return tuple(
+            connected for successor in self.road.edges[edge].successors for connected in (edge, successor)
+        ) or (edge,)
 
     def _on_its_lane(self, row: int) -> bool:
         """Return whether SUMO has the front bumper's centre of *row* within its lane.
 
-        At the beginning of a route it may be metres beside it: SUMO looks for a lane on the route alone and takes the
+        At the beginning of a route it may be metres beside it: SUMO looks for a lane on the route only, and takes the
         nearest end. A step with sublanes then reads freed memory (docs/sumo.md).
         """
         lane = self.road.lanes.get(self.world.lane[row])
         return lane is not None and self.world.beside_m[row] <= 0.5 * lane.width_m
 
-    def _leave(self, row: int) -> None:
-        """Let SUMO drive *row* for one step, and lose it then.
+    def _remove_after_step(self, row: int) -> None:
+        """Let SUMO drive *row* for one step, and remove it from SUMO then.
 
-        After moveToXY a lane beside the vehicle's own may hold it as one that reaches into it, and keeps it so when it
-        is removed; a step of SUMO's own puts that right (docs/sumo.md).
+        After moveToXY, SUMO may register the vehicle also on a lane beside its own, and keep it there after it has been
+        removed. A step of SUMO's own corrects this (docs/sumo.md).
         """
-        state = self.moved.pop(row, None)
-        if state is not None and state.inserted:
+        moved = self.moved.pop(row, None)
+        if moved is not None and moved.inserted:
             self._leaving.add(row)
-        elif state is not None:
-            self._drop(row)
+        elif moved is not None:
+            self._remove_now(row)
 
-    def _drop(self, row: int) -> None:
+    def _remove_now(self, row: int) -> None:
         name = self.world.sumo_ids[row]
-        self.api.vehicle.unsubscribe(name)  # else the next step stops at the unknown name
+        self.api.vehicle.unsubscribe(name)  # otherwise the next step fails at the unknown name
         self.api.vehicle.remove(name)
         self.world.in_sumo.discard(row)
 
-    def holds(self, row: int, lane: str | None, d_m: float) -> bool:
-        """Return whether SUMO has *row* on *lane*, *d_m* to its left: where lanes overlap it may not."""
+    def sumo_agrees(self, row: int, lane: str | None, d_m: float) -> bool:
+        """Return whether SUMO has *row* on *lane*, *d_m* to its left; where lanes overlap it may be on another one."""
         name = self.world.sumo_ids[row]
-        beside = float(self.api.vehicle.getLateralLanePosition(name)) * (-1.0 if self.road.lefthand else 1.0)
-        return self.world.lane[row] == lane and abs(beside - d_m) <= _SAME_PLACE_M
+        offset_m = float(self.api.vehicle.getLateralLanePosition(name)) * (
+            -1.0 if self.road.lefthand else 1.0
+        )
+        return self.world.lane[row] == lane and abs(offset_m - d_m) <= _SAME_OFFSET_M
 
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
-        """Put *rows* at poses (N, 2), (N,) in the next step, and take those out of SUMO that leave the lanes.
+        """Put *rows* at poses (N, 2), (N,) in the next step, and remove those from SUMO that leave the lanes.
 
-        Those outside or being inserted are left alone.
+        Rows that are outside SUMO or still being inserted are ignored.
         """
-        inserted = [row in self.moved and self.moved[row].inserted for row in rows.tolist()]
-        rows, xy_m, yaw_rad = rows[inserted], xy_m[inserted], yaw_rad[inserted]
+        is_inserted = [row in self.moved and self.moved[row].inserted for row in rows.tolist()]
+        rows, xy_m, yaw_rad = rows[is_inserted], xy_m[is_inserted], yaw_rad[is_inserted]
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        inside = self.road.on_lane(bumper, yaw_rad)
-        for row in rows[~inside].tolist():
-            self._leave(row)
+        is_on_lane = self.road.on_lane(bumper, yaw_rad)
+        for row in rows[~is_on_lane].tolist():
+            self._remove_after_step(row)
             self.outside.add(row)
         if self.road.lefthand:
-            _, _, left, turned = self.road.locate_many(bumper, yaw_rad)
-            bumper = _mirrored(bumper, left, yaw_rad - turned)
+            _, _, lateral_m, yaw_error = self.road.locate_many(bumper, yaw_rad)
+            bumper = _mirrored(bumper, lateral_m, yaw_rad - yaw_error)
         names, moved = self.world.sumo_ids, self.moved
-        places = zip(
-            rows[inside].tolist(),
-            bumper[inside].tolist(),
-            sumo_from_yaw(yaw_rad[inside]).tolist(),
+        poses = zip(
+            rows[is_on_lane].tolist(),
+            bumper[is_on_lane].tolist(),
+            sumo_from_yaw(yaw_rad[is_on_lane]).tolist(),
             strict=True,
         )
-        for row, (x, y), turn in places:
-            keep_route = _OWN_ROUTE if moved[row].route else _ANY_EDGE
-            self.api.vehicle.moveToXY(names[row], "", -1, x, y, turn, keep_route)
+        for row, (x, y), angle_deg in poses:
+            keep_route = _EXACT_ON_ROUTE if moved[row].route else _EXACT_ANY_EDGE
+            self.api.vehicle.moveToXY(names[row], "", -1, x, y, angle_deg, keep_route)
 
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
         """Tell SUMO which edges *row* is about to drive, so that drivers at junctions yield to it (#6140)."""
-        state = self.moved.get(row)
-        if state is None:
+        moved = self.moved.get(row)
+        if moved is None:
             return
-        known = bool(route) and state.route[-len(route) :] == route
-        if state.inserted and not known:
-            state.route = route if route and self._set_route(self.world.sumo_ids[row], route) else ()
+        is_known = bool(route) and moved.route[-len(route) :] == route
+        if moved.inserted and not is_known:
+            moved.route = route if route and self._set_route(self.world.sumo_ids[row], route) else ()
 
     def _set_route(self, name: str, route: tuple[str, ...]) -> bool:
-        """Return whether SUMO accepted *route*, which must begin at the edge where SUMO has the vehicle."""
+        """Set *route* and return whether SUMO accepted it; it must begin at the edge where SUMO has the vehicle."""
         vehicle = self.api.vehicle
         current = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0)]
         if current in route:
             route = route[route.index(current) :]
-        elif (
-            route[0] in self.road.edges[current].successors
-        ):  # on the junction SUMO still counts the edge before
+        elif route[0] in self.road.edges[current].successors:
+            # on a junction SUMO still reports the edge before it
             route = (current, *route)
         else:
             return False
         try:
             vehicle.setRoute(name, list(route))
-        except Exception:  # noqa: BLE001 - libsumo and traci raise different kinds; SUMO then keeps the old route
+        except Exception:  # noqa: BLE001 - libsumo and traci raise different types; SUMO then keeps the old route
             return False
         return True
 
     def _fresh_name(self, row: int) -> str:
-        """Return a name that SUMO has not had in this simulation; the first is the vehicle's own."""
-        count = self._entries.get(row, int(row in self.world.had_in_sumo))
-        self._entries[row] = count + 1
+        """Return a name that SUMO has not had in this simulation, and note it; the first is the vehicle's own."""
+        count = self._insert_counts.get(row, int(row in self.world.had_in_sumo))
+        self._insert_counts[row] = count + 1
         name = self.world.ids[row] + (f"~{count}" if count else "")
         self.world.rename(row, name)
         return name
 
 
 def _set_aside_stops(vehicle: Any, name: str) -> tuple[Any, ...]:
-    """Take its stops from *name*, unless it is parked, and return those still ahead; who stands at one may go on."""
+    """Remove the stops of *name* and return those still ahead; a vehicle that stands at a stop is resumed.
+
+    Parked vehicles keep theirs, and () is returned.
+    """
     if vehicle.isStoppedParking(name):
         return ()
     stops = tuple(vehicle.getStops(name))
@@ -324,24 +347,30 @@ def _set_aside_stops(vehicle: Any, name: str) -> tuple[Any, ...]:
 
 
 def _restore_stops(vehicle: Any, name: str, stops: Sequence[Any]) -> None:
-    """Give *name* those of *stops* that still lie ahead of it on its route."""
+    """Set those of *stops* again that still lie ahead of *name* on its route."""
     for stop in stops:
         edge, _, lane = stop.lane.rpartition("_")
-        place = stop.stoppingPlaceID or edge
-        with contextlib.suppress(
-            Exception
-        ):  # libsumo and traci raise different kinds; it has passed that one
+        stop_or_edge = stop.stoppingPlaceID or edge
+        # libsumo and traci raise different types for a stop that the vehicle has passed
+        with contextlib.suppress(Exception):
             vehicle.setStop(
-                name, place, stop.endPos, int(lane), stop.duration, stop.stopFlags, stop.startPos, stop.until
+                name,
+                stop_or_edge,
+                stop.endPos,
+                int(lane),
+                stop.duration,
+                stop.stopFlags,
+                stop.startPos,
+                stop.until,
             )
 
 
 def _mirrored(bumper_xy_m: FloatArray, d_m: FloatArray, along_rad: FloatArray) -> FloatArray:
-    """Return front-bumper points (N, 2), *d_m* left of lanes of heading *along_rad*, on the other side of them.
+    """Return front bumpers (N, 2) mirrored at their lanes' centre lines, *d_m* left of lanes of heading *along_rad*.
 
-    With traffic on the left, SUMO counts lateral positions to the right, but moveToXY still sets them to the
-    left: others would see the vehicle on the wrong side of its lane, and a released one would jump there.
+    With traffic on the left, SUMO counts lateral positions to the right, but moveToXY still sets them to the left.
+    Unmirrored, others would see the vehicle on the wrong side of its lane, and a released one would jump there.
     """
-    along = unit(along_rad)
-    left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    forward = unit(along_rad)
+    left = np.stack((-forward[:, 1], forward[:, 0]), axis=-1)
     return bumper_xy_m - 2.0 * d_m[:, None] * left

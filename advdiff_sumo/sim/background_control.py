@@ -1,4 +1,4 @@
-"""The background vehicles that are moved: plans in, states every 0.1 s out, hand-over at the control radius."""
+"""Move the background vehicles: ask the policy for plans and turn them into states every 0.1 s."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from advdiff_sumo.traffic.sumo_traffic import plans_nothing
 
 @dataclass(frozen=True)
 class MovedMotion(KinematicStates):
-    """What the moved vehicles do until the next plan; M vehicles, n substeps.
+    """States of the moved vehicles until the next plan; M vehicles, n substeps.
 
     Attributes:
         xy_m, yaw_rad, speed_mps: (M, n, 2), (M, n), (M, n) states after each substep.
         rows: (M,) rows of the world.
-        valid: (M, n) whether the vehicle is there.
+        valid: (M, n) whether the vehicle is present.
     """
 
     rows: IntArray
     valid: BoolArray
 
     def keep(self, mask: BoolArray) -> MovedMotion:
-        """Return the vehicles where *mask* (M,) is True."""
+        """Return the vehicles for which *mask* (M,) is True."""
         kept = self.mapped(lambda part: part[mask])
         return replace(kept, rows=self.rows[mask], valid=self.valid[mask])
 
@@ -49,14 +49,16 @@ class MovedMotion(KinematicStates):
 
     @staticmethod
     def join(first: MovedMotion, second: MovedMotion) -> MovedMotion:
-        """Return both; a row of *second* that *first* has too is dropped."""
-        other = second.keep(~np.isin(second.rows, first.rows))
-        pairs = ((getattr(first, name), getattr(other, name)) for name in MovedMotion.__dataclass_fields__)
+        """Return the vehicles of both; of a row in both, the motion in *first* applies."""
+        only_second = second.keep(~np.isin(second.rows, first.rows))
+        pairs = (
+            (getattr(first, name), getattr(only_second, name)) for name in MovedMotion.__dataclass_fields__
+        )
         return MovedMotion(*(np.concatenate(pair) for pair in pairs))
 
     @staticmethod
     def none(steps: int) -> MovedMotion:
-        """Return the motion of no vehicle."""
+        """Return the motion of no vehicle, *steps* substeps long."""
         return MovedMotion(
             np.zeros((0, steps, 2)),
             np.zeros((0, steps)),
@@ -68,10 +70,10 @@ class MovedMotion(KinematicStates):
 
 @dataclass
 class Background:
-    """The policy of an episode and what it is doing.
+    """The policy of an episode, and what it has planned and done so far.
 
     Attributes:
-        source: of the plans; its policy moves the vehicles.
+        source: makes the plans with the policy.
         road: the map.
         world: rows and states.
         log: of the seed scene.
@@ -80,13 +82,13 @@ class Background:
         step_s: SUMO's step.
         name: for messages.
         heartbeat: of the episode.
-        planning_s: wall-clock seconds of each plan; none where SUMO drives everybody.
-        skipped: ids that a log would have moved but that SUMO has elsewhere by now.
+        planning_s: wall-clock seconds of each plan; empty if SUMO drives all background vehicles.
+        skipped: ids that a log would have moved, but which SUMO has driven too far away from it.
         planned: the last plan that was not refused.
-        attack: kind of attack that the policy was asked for; None where it attacks nobody.
-        in_position: whether somebody was in a position for it at some time.
-        manoeuvres: id → what it did against the target last, and when; None where the policy does not tell.
-        safeguarded: plans of a vehicle of which a safeguard changed what was driven next, and all it looked at.
+        attack: kind of attack that was requested of the policy; None if it does not attack.
+        in_position: whether any vehicle was ever in a position to carry the attack out.
+        manoeuvres: id → its last manoeuvre against the target, and its time; None if the policy does not report them.
+        safeguarded: number of vehicle plans that a safeguard changed until the next plan, and of all that it checked.
     """
 
     source: PlanSource
@@ -111,7 +113,7 @@ class Background:
         self._guard.call(lambda: self.source.start(self.road, scene, self.log, self.rng))
 
     def replan(self, scene: Scene, steps: int) -> MovedMotion:
-        """Return what the policy does in the coming *steps*.
+        """Return the policy's motion for the coming *steps*.
 
         Raises:
             PlannerError: the policy raised.
@@ -131,9 +133,9 @@ class Background:
         )
 
     def _plan(self, scene: Scene, steps: int) -> MovedMotion:
-        plan, took_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
+        plan, wall_s = self.source.plan(self.road, scene, self.rng, f"background '{self.name}'")
         if not plans_nothing(self.source.policy):
-            self.planning_s.append(took_s)
+            self.planning_s.append(wall_s)
         motion = self.motion(plan, scene.target_id, steps)
         self.planned = plan
         self.safeguarded = (
@@ -144,12 +146,12 @@ class Background:
             self.attack = plan.attack.kind
             self.in_position |= bool(plan.attack.in_position)
             if plan.attack.manoeuvres is not None:
-                now = {name: (kind, scene.time_s) for name, kind in plan.attack.manoeuvres.items()}
-                self.manoeuvres = {**(self.manoeuvres or {}), **now}
+                manoeuvres_now = {name: (kind, scene.time_s) for name, kind in plan.attack.manoeuvres.items()}
+                self.manoeuvres = {**(self.manoeuvres or {}), **manoeuvres_now}
         return motion
 
     def motion(self, plan: JointPlan, target_id: str, steps: int) -> MovedMotion:
-        """Return *plan* as states after each of *steps* substeps, checked."""
+        """Check *plan* and return it as states after each of *steps* substeps."""
         tracks = plan.tracks
         check_joint_form(plan, f"background '{self.name}'")
         if tracks.agents == 0:
@@ -157,26 +159,27 @@ class Background:
         if target_id in tracks.index:
             raise PlanRefusedError(f"background '{self.name}' planned for the target '{target_id}'")
         rows = np.array([self.row_for(tracks, k) for k in range(tracks.agents)])
-        far = check_joint_plan(plan, self.world.xy_m[rows], f"background '{self.name}'")
-        if far.any() and not plan.exact:
+        is_too_far = check_joint_plan(plan, self.world.xy_m[rows], f"background '{self.name}'")
+        if is_too_far.any() and not plan.exact:
             raise PlanRefusedError(
-                f"background '{self.name}' planned a jump for '{tracks.ids[int(far.argmax())]}'"
+                f"background '{self.name}' planned a jump for '{tracks.ids[int(is_too_far.argmax())]}'"
             )
-        self.skipped.update(name for name, away in zip(tracks.ids, far, strict=True) if away)
+        self.skipped.update(name for name, too_far in zip(tracks.ids, is_too_far, strict=True) if too_far)
         dense = self._exact(tracks, rows, steps) if plan.exact else self._driven(tracks, rows, steps)
-        return MovedMotion(*dense[:3], rows, dense[3]).keep(~far)
+        return MovedMotion(*dense[:3], rows, dense[3]).keep(~is_too_far)
 
     def row_for(self, tracks: Tracks, k: int) -> int:
-        """Return the world's row of agent *k* of *tracks*, a new one if it was never there."""
-        known = self.world.row_of(tracks.ids[k])
-        if known is not None:
-            return known
+        """Return the world's row of agent *k* of *tracks*; add one if the agent is new."""
+        row = self.world.row_of(tracks.ids[k])
+        if row is not None:
+            return row
         length, width = tracks.size_m[k].tolist()
         return self.world.add(tracks.ids[k], AgentClass(tracks.classes[k]), length, width)
 
     def _exact(
         self, tracks: Tracks, rows: IntArray, steps: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Return states and presence at every substep as the plan has them, resampled if its spacing is another."""
         if abs(tracks.dt_s - self.step_s) > 1e-9:
             t0_s = tracks.t0_s - tracks.dt_s + self.step_s
             tracks = resample(self._from_now(tracks, rows), self.step_s, t0_s=t0_s)
@@ -188,7 +191,7 @@ class Background:
         return cut.xy_m, cut.yaw_rad, cut.speed_mps, cut.valid
 
     def _from_now(self, tracks: Tracks, rows: IntArray) -> Tracks:
-        """Return *tracks* with where *rows* are now before their first instant."""
+        """Return *tracks* preceded by the present states of *rows*."""
         world = self.world
         xy, yaw, speed = world.xy_m[rows], world.yaw_rad[rows], world.speed_mps[rows]
         return replace(
@@ -203,6 +206,7 @@ class Background:
     def _driven(
         self, tracks: Tracks, rows: IntArray, steps: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Return states and presence at every substep of vehicles that follow the plan through the bicycle model."""
         if tracks.steps * tracks.dt_s < steps * self.step_s - 1e-9:
             raise PlanRefusedError(
                 f"background '{self.name}' planned {tracks.steps} × {tracks.dt_s:g} s, too short"
@@ -218,10 +222,10 @@ class Background:
 
 
 def planned_ends(motion: MovedMotion) -> Mapping[int, tuple[FloatArray, float]]:
-    """Return row → last valid pose of *motion*."""
+    """Return row → last valid position (2,) and heading of *motion*."""
     ends = {}
     for k, row in enumerate(motion.rows.tolist()):
-        there = np.flatnonzero(motion.valid[k])
-        if len(there):
-            ends[row] = motion.xy_m[k, there[-1]], float(motion.yaw_rad[k, there[-1]])
+        valid_steps = np.flatnonzero(motion.valid[k])
+        if len(valid_steps):
+            ends[row] = motion.xy_m[k, valid_steps[-1]], float(motion.yaw_rad[k, valid_steps[-1]])
     return ends

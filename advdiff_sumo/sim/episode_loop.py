@@ -1,4 +1,4 @@
-"""The loop of an episode, step by step."""
+"""Run the loop of an episode: observe, plan, move, let SUMO step, record."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register
 from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 
+# The policy also sees road users beyond its radius that are near a moved vehicle: within the larger of this distance
+# and of this time at the moved vehicle's speed, and at most so far behind it.
 _SIGHT_M, _SIGHT_S, _BEHIND_M = 40.0, 3.0, 10.0
-"""Who is so near a vehicle that we move, and not far behind it, is looked at beyond the radius, too."""
-_STOPS_MPS2 = 4.0
+_BRAKING_MPS2 = 4.0
 
 
 class Loop:
@@ -53,7 +54,7 @@ class Loop:
             source=PlanSource(episode.policy, episode.memo),
             road=self.road,
             world=self.world,
-            log=_to_follow(episode.scene),
+            log=_log_for_policy(episode.scene),
             rng=episode.seed.child("background").generator(),
             step_s=self.sim.step_s,
             name=episode.names[1],
@@ -61,27 +62,27 @@ class Loop:
         )
         self.context = EpisodeContext(self.background, episode.scene)
         self.handover = Handover(self.world, self.actuator, self.road, self.sim)
-        self.everywhere = moves_everywhere(episode.policy)
+        self.policy_moves_all = moves_everywhere(episode.policy)
         self.target = 0
-        self.ignored: BoolArray | None = None
-        self.standing: BoolArray | None = None
+
+        self.initial_overlaps: BoolArray | None = None
         self.signals: Mapping[str, str] = {}
         self.target_left = False
         self.entering: set[int] = set()
         self.replayed: IntArray = np.zeros(0, dtype=np.int64)
-        self.demand_brings: set[int] = set()
+        self.awaited_from_demand: set[int] = set()
         self.steps = 0
 
-    # --- the beginning -----------------------------------------------------------------------------------
+    # --- start -------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Bring SUMO to instant 0 and let target and policy prepare."""
+        """Bring SUMO to instant 0 and start target and policy."""
         heartbeat = self.episode.heartbeat
         heartbeat.note(ProcessPhase.SIMULATOR)
         watch_signals(self.api)
         scene = self.episode.scene
         if isinstance(scene.start, PlacedTraffic):
-            self._roll_in()
+            self._play_history()
         else:
             register(self.world, self.api, self.api.vehicle.getIDList())
             self.world.remove(read(self.world, self.api, ()))
@@ -94,14 +95,17 @@ class Loop:
         self._make_drive()
         frame = self.world.frame()
         size = self.world.size_m[: len(self.world)]
-        self.standing = standing_overlaps(None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target)
+        self.initial_overlaps = standing_overlaps(
+            None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target
+        )
         self.recorder.add(frame, self.signals, self.drive.visible())
-        now = self.scene_now()
-        self.drive.start(self._seen_by_target(now))
-        self.background.start(now)
+        scene_now = self.scene_now()
+        self.drive.start(self._seen_by_target(scene_now))
+        self.background.start(scene_now)
         heartbeat.note(ProcessPhase.SIMULATOR, 0)
 
     def _make_drive(self) -> None:
+        """Create what drives the target: SUMO, or the planner."""
         episode = self.episode
         route = episode.scene.routes.get(episode.scene.target, ())
         if isinstance(episode.target, SumoDriver):
@@ -123,20 +127,20 @@ class Loop:
                 episode.heartbeat,
             )
 
-    def _roll_in(self) -> None:
-        """Play a log's history, so that everybody is in SUMO, at speed, at instant 0."""
+    def _play_history(self) -> None:
+        """Play a log's history, so that at instant 0 all its vehicles are in SUMO and at speed."""
         motion = self.context.history(self.sim)
         self.replayed = self.context.rows()
         for k in range(motion.valid.shape[1]):
             if k % self.sim.substeps == 0:
-                self._let_in(motion.span(k, k + self.sim.substeps))
+                self._note_entering(motion.span(k, k + self.sim.substeps))
             self._move(motion, k)
             self._advance()
 
-    # --- the middle --------------------------------------------------------------------------------------
+    # --- stepping ----------------------------------------------------------------------------------------
 
     def run(self, steps: int) -> EndReason:
-        """Run at most *steps* and return why it ended."""
+        """Run until *steps* steps are done, at most, and return why it ended."""
         period = self.sim.substeps * self.sim.replan_every
         while self.steps < steps:
             scene = self.scene_now()
@@ -150,48 +154,60 @@ class Loop:
         return self._end_of_time(steps)
 
     def _end_of_time(self, steps: int) -> EndReason:
-        asked = round(self.episode.horizon_s / self.sim.step_s)
-        return EndReason.LOG_END if steps < asked else EndReason.HORIZON
+        """Return whether the horizon or the log ended after *steps*."""
+        horizon_steps = round(self.episode.horizon_s / self.sim.step_s)
+        return EndReason.LOG_END if steps < horizon_steps else EndReason.HORIZON
 
     def _plan_background(self, scene: Scene, period: int) -> MovedMotion:
-        planned = self.background.replan(scene, period)
-        planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)) & self._have_room(planned))
+        """Let the policy plan, and return the motion of all background vehicles that are moved until the next plan."""
+        policy_motion = self.background.replan(scene, period)
+        policy_motion = policy_motion.keep(
+            ~np.isin(policy_motion.rows, list(self.world.on_foot)) & self._may_appear(policy_motion)
+        )
         self.handover.note_routes(self.background.routes)
-        logged = self.context.motion(scene, period)
-        self.replayed = np.setdiff1d(logged.rows, planned.rows)
-        motion = MovedMotion.join(planned, logged)
+        log_motion = self.context.motion(scene, period)
+        self.replayed = np.setdiff1d(log_motion.rows, policy_motion.rows)
+        motion = MovedMotion.join(policy_motion, log_motion)
         self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
         plans = self.background.planned.tracks if self.background.planned is not None else None
-        motion = self.handover.settle(motion, self.target, period, routes, self.signals, plans)
+        motion = self.handover.release_or_align(motion, self.target, period, routes, self.signals, plans)
         self.handover.predict(planned_ends(motion), routes)
-        self._let_in(motion)
+        self._note_entering(motion)
         return motion
 
-    def _have_room(self, motion: MovedMotion) -> BoolArray:
-        """Return (M,) who of *motion* is there already, or comes in where the policy sees, or where there is room."""
+    def _may_appear(self, motion: MovedMotion) -> BoolArray:
+        """Return (M,) which vehicles of *motion* are present, appear in the policy's view, or have room to appear."""
         world = self.world
-        logged = self.background.planned is not None and self.background.planned.exact
-        out = np.isfinite(world.yaw_rad[motion.rows]) | ~motion.valid.any(axis=1) | self.everywhere | logged
-        if out.all():
-            return np.asarray(out)
-        new = motion.keep(~out)
-        k = new.valid.argmax(axis=1)
-        each = np.arange(len(k))
-        pose = new.xy_m[each, k], new.yaw_rad[each, k], new.speed_mps[each, k]
-        seen = np.linalg.norm(pose[0] - world.xy_m[self.target], axis=-1) <= self.sim.observe_radius_m
+        follows_log = self.background.planned is not None and self.background.planned.exact
+        may_appear = (
+            np.isfinite(world.yaw_rad[motion.rows])
+            | ~motion.valid.any(axis=1)
+            | self.policy_moves_all
+            | follows_log
+        )
+        if may_appear.all():
+            return np.asarray(may_appear)
+        new = motion.keep(~may_appear)
+        first = new.valid.argmax(axis=1)
+        rows = np.arange(len(first))
+        new_states = new.xy_m[rows, first], new.yaw_rad[rows, first], new.speed_mps[rows, first]
+        in_view = (
+            np.linalg.norm(new_states[0] - world.xy_m[self.target], axis=-1) <= self.sim.observe_radius_m
+        )
         count = len(world)
-        there = world.xy_m[:count], world.yaw_rad[:count], world.speed_mps[:count]
-        out[~out] = seen | have_room(pose, there)
-        return np.asarray(out)
+        present_states = world.xy_m[:count], world.yaw_rad[:count], world.speed_mps[:count]
+        may_appear[~may_appear] = in_view | have_room(new_states, present_states)
+        return np.asarray(may_appear)
 
     def _leave_scene(self, rows: set[int]) -> None:
-        """Take *rows* off the scene: those that SUMO refused, once nobody moves them any more."""
+        """Remove *rows* from the scene: vehicles that SUMO refused and that are no longer moved."""
         for row in sorted(rows):
             self.actuator.remove(row)
         self.world.remove(sorted(rows))
 
     def _step(self, motion: MovedMotion, k: int) -> EndReason | None:
+        """Move all vehicles by substep *k*, let SUMO step and record; return the reason if the episode ends."""
         self._move(motion, k)
         self.drive.move(k)
         self._advance()
@@ -200,32 +216,40 @@ class Loop:
         if self.target_left:
             return EndReason.ARRIVED
         frame = self.world.frame()
-        hit = self._touches(self.recorder.frames[-1], frame)
+        collides = self._target_collides(self.recorder.frames[-1], frame)
         self.recorder.add(frame, self.signals, self.drive.visible())
         self.episode.heartbeat.note(ProcessPhase.SIMULATOR, self.steps)
-        if hit and self.sim.stop_at_collision:
+        if collides and self.sim.stop_at_collision:
             return EndReason.COLLISION
         return EndReason.ARRIVED if self.drive.arrived() else None
 
     def _move(self, motion: MovedMotion, k: int) -> None:
-        rows = motion.valid[:, k]
-        for row in motion.rows[~rows].tolist():
-            if row in self.actuator.ours:
+        """Put all moved vehicles where *motion* has them at substep *k*; remove those that are gone by then."""
+        is_present = motion.valid[:, k]
+        for row in motion.rows[~is_present].tolist():
+            if row in self.actuator.controlled_rows:
                 self.actuator.remove(row)
                 self.world.remove([row])
-        if self.demand_brings:
-            rows = rows & ~np.isin(motion.rows, list(self.demand_brings - self.world.had_in_sumo))
-        there = motion.rows[rows]
-        who = np.where(np.isin(there, self.replayed), Controller.REPLAYED, Controller.POLICY)
+        if self.awaited_from_demand:
+            is_present = is_present & ~np.isin(
+                motion.rows, list(self.awaited_from_demand - self.world.had_in_sumo)
+            )
+        rows = motion.rows[is_present]
+        controller = np.where(np.isin(rows, self.replayed), Controller.REPLAYED, Controller.POLICY)
         self.world.set_state(
-            there, motion.xy_m[rows, k], motion.yaw_rad[rows, k], motion.speed_mps[rows, k], who
+            rows,
+            motion.xy_m[is_present, k],
+            motion.yaw_rad[is_present, k],
+            motion.speed_mps[is_present, k],
+            controller,
         )
-        for row in there.tolist():
+        for row in rows.tolist():
             if row not in self.actuator.moved:
                 self._take_or_insert(row)
-        self.actuator.move(there, motion.xy_m[rows, k], motion.yaw_rad[rows, k])
+        self.actuator.move(rows, motion.xy_m[is_present, k], motion.yaw_rad[is_present, k])
 
     def _take_or_insert(self, row: int) -> None:
+        """Begin to move *row*: take it from SUMO, insert it, or keep it outside SUMO while it is off the lanes."""
         if row in self.world.in_sumo:
             self.handover.note_own_route(
                 row, remaining_route(self.api, self.world.sumo_ids[row], self.road.beyond_rim)
@@ -242,130 +266,147 @@ class Loop:
             else:
                 self.actuator.try_insert(row, self.types[agent_class])
 
-    def _let_in(self, motion: MovedMotion) -> None:
-        """Note which of the vehicles outside SUMO get onto a lane during *motion*, and which SUMO will bring."""
+    def _note_entering(self, motion: MovedMotion) -> None:
+        """Note which vehicles outside SUMO get onto a lane during *motion*, and which SUMO's demand will insert."""
         if isinstance(self.episode.scene.start, SavedTraffic):
-            of_demand = self.episode.scene.log.index
-            waited = set(motion.rows.tolist()) - self.world.had_in_sumo
-            self.demand_brings = {row for row in waited if self.world.ids[row] in of_demand}
-        waiting = ~np.isin(motion.rows, [*self.actuator.moved, *self.actuator.refused]) & motion.valid.any(
+            demand_ids = self.episode.scene.log.index
+            new_rows = set(motion.rows.tolist()) - self.world.had_in_sumo
+            self.awaited_from_demand = {row for row in new_rows if self.world.ids[row] in demand_ids}
+        is_outside = ~np.isin(motion.rows, [*self.actuator.moved, *self.actuator.refused]) & motion.valid.any(
             axis=1
         )
-        rows, valid = motion.rows[waiting], motion.valid[waiting]
+        rows, valid = motion.rows[is_outside], motion.valid[is_outside]
         self.entering = set()
         if len(rows):
-            every = np.arange(len(rows))
+            each = np.arange(len(rows))
             for k in (valid.argmax(axis=1), valid.shape[1] - 1 - valid[:, ::-1].argmax(axis=1)):
-                poses = motion.xy_m[waiting][every, k], motion.yaw_rad[waiting][every, k]
+                poses = motion.xy_m[is_outside][each, k], motion.yaw_rad[is_outside][each, k]
                 self.entering |= self.actuator.on_lanes(rows, *poses)
 
     def _advance(self) -> None:
-        """Let SUMO step and read what it did; our own states win for vehicles that we move."""
+        """Let SUMO step and read the result; for vehicles that are moved, the package's own states apply."""
         self.session.step()
         departed = register(self.world, self.api, self.api.simulation.getDepartedIDList())
-        self.actuator.settle(departed)
-        moved, ours = self.actuator.moved, self.actuator.ours
-        gone = read(self.world, self.api, ours).tolist()
-        self.target_left = self.target in gone and self.target not in self.actuator.outside
-        self.world.remove([row for row in gone if row not in ours])
-        for row in gone:
+        self.actuator.take_inserted(departed)
+        moved, controlled = self.actuator.moved, self.actuator.controlled_rows
+        lost_rows = read(self.world, self.api, controlled).tolist()
+        self.target_left = self.target in lost_rows and self.target not in self.actuator.outside
+        self.world.remove([row for row in lost_rows if row not in controlled])
+        for row in lost_rows:
             if row in moved and moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
                 moved.pop(row)
                 self.actuator.outside.add(row)
-        beside = self.actuator.leave_lanes()
-        self.entering |= self.actuator.on_lanes(beside, self.world.xy_m[beside], self.world.yaw_rad[beside])
+        off_lane = self.actuator.remove_off_lanes()
+        self.entering |= self.actuator.on_lanes(
+            off_lane, self.world.xy_m[off_lane], self.world.yaw_rad[off_lane]
+        )
         self.recorder.note(self.api)
 
-    def _touches(self, before: Frame, now: Frame) -> bool:
-        """Return whether the target touches anybody in this step; overlaps that a log begins with do not count."""
+    def _target_collides(self, before: Frame, now: Frame) -> bool:
+        """Return whether the target touches a road user in this step; overlaps that a log begins with do not count."""
         n = len(now.yaw_rad)
         size = self.world.size_m[:n]
-        xy0, yaw0 = _padded(before, n)
-        ignore = self._grown(n)
+        xy_before, yaw_before = _padded(before, n)
+        ignored = self._overlaps_to_ignore(n)
         contact = target_contact(
-            xy0, yaw0, now.xy_m, now.yaw_rad, size, self.target, ignore=ignore, dt_s=self.sim.step_s
+            xy_before,
+            yaw_before,
+            now.xy_m,
+            now.yaw_rad,
+            size,
+            self.target,
+            ignore=ignored,
+            dt_s=self.sim.step_s,
         )
-        self.standing = standing_overlaps(
-            ignore, xy0, now.xy_m, now.yaw_rad, size, self.target, dt_s=self.sim.step_s
+        self.initial_overlaps = standing_overlaps(
+            ignored, xy_before, now.xy_m, now.yaw_rad, size, self.target, dt_s=self.sim.step_s
         )
         return contact is not None
 
-    def _grown(self, n: int) -> BoolArray:
-        old = self.standing if self.standing is not None else np.zeros(0, dtype=np.bool_)
-        return np.concatenate((old, np.zeros(n - len(old), dtype=np.bool_)))
+    def _overlaps_to_ignore(self, n: int) -> BoolArray:
+        """Return (n,) who has overlapped the target since the start; the mask is extended for new rows."""
+        known = self.initial_overlaps if self.initial_overlaps is not None else np.zeros(0, dtype=np.bool_)
+        return np.concatenate((known, np.zeros(n - len(known), dtype=np.bool_)))
 
-    # --- what planners see -------------------------------------------------------------------------------
+    # --- observations ------------------------------------------------------------------------------------
 
     def scene_now(self) -> Scene:
-        """Return the scene around the target now, as the policy sees it."""
+        """Return the present scene around the target, as the policy sees it."""
         world, target = self.world, self.target
-        gap = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[target], axis=-1)
-        seen = np.isfinite(gap)
-        if not self.everywhere:
-            seen &= (gap <= self.sim.observe_radius_m) | self._in_the_way()
-        rows = np.flatnonzero(seen)
+        distance = np.linalg.norm(world.xy_m[: len(world)] - world.xy_m[target], axis=-1)
+        is_seen = np.isfinite(distance)
+        if not self.policy_moves_all:
+            is_seen &= (distance <= self.sim.observe_radius_m) | self._near_moved_vehicles()
+        rows = np.flatnonzero(is_seen)
         history = self.recorder.history(rows, self.time_s)
         return Scene(
             history=history,
             target=int(np.flatnonzero(rows == target)[0]),
-            movable=self._movable(rows, gap[rows]),
+            movable=self._movable(rows, distance[rows]),
             routes=tuple(self._route(row) for row in rows.tolist()),
             signals=self.signals,
         )
 
     def _seen_by_target(self, scene: Scene) -> Scene:
-        """Return *scene* as far as the target sees."""
+        """Return *scene* limited to the target's radius of observation."""
         now = scene.history.xy_m[:, -1]
-        gap = np.linalg.norm(now - now[scene.target], axis=-1)
-        return scene.without(gap > self.sim.observe_radius_m)
+        distance = np.linalg.norm(now - now[scene.target], axis=-1)
+        return scene.without(distance > self.sim.observe_radius_m)
 
-    def _in_the_way(self) -> BoolArray:
-        """Return (n,) whom a vehicle that we move may meet, however far from the target both are."""
+    def _near_moved_vehicles(self) -> BoolArray:
+        """Return (n,) who may come into conflict with a moved vehicle, at any distance from the target."""
         world = self.world
-        moved = np.array(self._others_moved(), dtype=np.int64)
+        moved = np.array(self._moved_background(), dtype=np.int64)
         offset = world.xy_m[: len(world), None] - world.xy_m[moved]
         ahead_m = (offset * unit(world.yaw_rad[moved])).sum(axis=-1)
         sight_m = np.maximum(_SIGHT_M, _SIGHT_S * world.speed_mps[moved])
         near = (np.linalg.norm(offset, axis=-1) <= sight_m) & (ahead_m >= -_BEHIND_M)  # NaN compares as False
         return np.asarray(near.any(axis=1))
 
-    def _movable(self, rows: IntArray, gap_m: FloatArray) -> BoolArray:
-        others: BoolArray = (rows != self.target) & ~np.isin(rows, list(self.world.on_foot))
-        if self.everywhere:
-            return others
-        ours = self.actuator.ours
-        moved = np.array([row in ours for row in rows.tolist()], dtype=np.bool_)
-        radius = np.where(moved, self.sim.release_factor, 1.0) * self.sim.control_radius_m
+    def _movable(self, rows: IntArray, distance_m: FloatArray) -> BoolArray:
+        """Return (N,) which of *rows*, at distances (N,) from the target, the policy may move."""
+        is_background: BoolArray = (rows != self.target) & ~np.isin(rows, list(self.world.on_foot))
+        if self.policy_moves_all:
+            return is_background
+        controlled = self.actuator.controlled_rows
+        is_moved = np.array([row in controlled for row in rows.tolist()], dtype=np.bool_)
+        radius = np.where(is_moved, self.sim.release_factor, 1.0) * self.sim.control_radius_m
         radius[np.isin(rows, self._inside_junctions())] = np.inf
-        on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
-        free = ~np.isin(rows, self.context.rows())
-        movable = np.asarray(others & (gap_m <= radius) & (on_lane | moved) & free)
-        for k in np.flatnonzero(movable & ~moved).tolist():
-            movable[k] = not self._arrives(int(rows[k]))
-        return movable
+        is_on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
+        is_not_logged = ~np.isin(rows, self.context.rows())
+        is_movable = np.asarray(
+            is_background & (distance_m <= radius) & (is_on_lane | is_moved) & is_not_logged
+        )
+        for k in np.flatnonzero(is_movable & ~is_moved).tolist():
+            is_movable[k] = not self._arrives_soon(int(rows[k]))
+        return is_movable
 
-    def _arrives(self, row: int) -> bool:
-        """Return whether SUMO takes *row* off the net before it could stop: it looks at nobody beyond its goal."""
+    def _arrives_soon(self, row: int) -> bool:
+        """Return whether *row* reaches its goal, where SUMO removes it, before it could stop.
+
+        SUMO's drivers ignore what lies beyond their goal.
+        """
         vehicle, name = self.api.vehicle, self.world.sumo_ids[row]
         goal = vehicle.getRoute(name)[-1]
-        left_m = float(vehicle.getDrivingDistance(name, goal, self.api.lane.getLength(f"{goal}_0")))
-        return bool(0.0 <= left_m < 0.5 * self.world.speed_mps[row] ** 2 / _STOPS_MPS2)
+        remaining_m = float(vehicle.getDrivingDistance(name, goal, self.api.lane.getLength(f"{goal}_0")))
+        return bool(0.0 <= remaining_m < 0.5 * self.world.speed_mps[row] ** 2 / _BRAKING_MPS2)
 
-    def _others_moved(self) -> list[int]:
-        """Return the rows that we move in SUMO, without the target."""
+    def _moved_background(self) -> list[int]:
+        """Return the rows of background vehicles that are moved in SUMO."""
         return sorted(self.actuator.moved.keys() - {self.target})
 
     def _inside_junctions(self) -> IntArray:
-        """Return the rows of moved vehicles inside a junction, where nobody changes hands."""
+        """Return the rows of moved vehicles inside a junction, where no vehicle is handed back."""
         lanes = self.road.lanes
-        names = ((row, self.world.lane[row]) for row in self._others_moved())
-        inside = [row for row, name in names if name in lanes and lanes[name].is_internal]
+        lane_of_row = ((row, self.world.lane[row]) for row in self._moved_background())
+        inside = [row for row, lane in lane_of_row if lane in lanes and lanes[lane].is_internal]
         return np.array(inside, dtype=np.int64)
 
     def _route(self, row: int) -> tuple[str, ...]:
+        """Return the edges that *row* is expected to drive, whoever moves it."""
         if row == self.target:
             return self.drive.route_ahead()
-        if row in self.actuator.ours:
+        if row in self.actuator.controlled_rows:
             return self.handover.route(row, self.episode.scene.routes)
         if row in self.world.on_foot:
             return ()
@@ -376,10 +417,10 @@ class Loop:
         """Time since the episode's start."""
         return self.steps * self.sim.step_s
 
-    # --- the end -----------------------------------------------------------------------------------------
+    # --- end ---------------------------------------------------------------------------------------------
 
     def record(self, end: EndReason, failure: Failure | None) -> EpisodeRecord:
-        """Return everything that happened."""
+        """Return the record of the episode."""
         episode = self.episode
         record = self.recorder.finish(self.target)
         return replace(
@@ -405,28 +446,28 @@ class Loop:
         )
 
     def leave(self, record: EpisodeRecord) -> None:
-        """Let the target's planner know that the episode is over."""
+        """Tell the target's planner that the episode is over."""
         drive, failure = getattr(self, "drive", None), record.failure
         if drive is not None:
             drive.end(str(record.end), self.time_s, failure.message if failure is not None else "")
 
     def planning_s(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the wall-clock of every plan of target and policy."""
+        """Return the wall-clock seconds of each plan of the target, and of the policy."""
         drive = getattr(self, "drive", None)
         return tuple(drive.planning_s) if drive else (), tuple(self.background.planning_s)
 
 
-def _to_follow(scene: SeedScene) -> Tracks:
-    """Return the log that the policy may follow; in SUMO's traffic people walk by SUMO's own model."""
+def _log_for_policy(scene: SeedScene) -> Tracks:
+    """Return the log that the policy may follow; in SUMO traffic without pedestrians, whom SUMO's own model moves."""
     if isinstance(scene.start, PlacedTraffic):
         return scene.log
     return scene.log.rows(scene.log.classes != AgentClass.PEDESTRIAN)
 
 
 def _padded(frame: Frame, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return positions and headings of *frame* with absent rows up to *n*."""
-    more = n - len(frame.yaw_rad)
-    if not more:
+    """Return positions and headings of *frame*, extended to *n* rows with NaN."""
+    missing = n - len(frame.yaw_rad)
+    if not missing:
         return frame.xy_m, frame.yaw_rad
-    xy = np.concatenate((frame.xy_m, np.full((more, 2), np.nan)))
-    return xy, np.concatenate((frame.yaw_rad, np.full(more, np.nan)))
+    xy = np.concatenate((frame.xy_m, np.full((missing, 2), np.nan)))
+    return xy, np.concatenate((frame.yaw_rad, np.full(missing, np.nan)))

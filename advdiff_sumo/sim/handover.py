@@ -1,4 +1,4 @@
-"""Vehicles that nobody plans for any more go back to SUMO without a jump in position, speed or heading."""
+"""Hand vehicles that have no plan any more back to SUMO without a jump in position, speed or heading."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import World, stack
 
-_ALIGNED_RAD = 0.05  # SUMO turns a vehicle along its lane in the step after it takes over
-_STANDS_MPS = 0.5
-_PATIENCE_S = 8.0  # then SUMO gets it as it is, which is counted
+_ALIGNED_RAD = 0.05
+"""Largest heading error of a release; SUMO turns a vehicle along its lane in its first step."""
+_STANDING_MPS = 0.5
+_MAX_WAIT_S = 8.0
+"""After this time SUMO gets a vehicle as it is, and the record counts it."""
 _ROUTE_AHEAD_M = 200.0
-_SEES_M = 60.0
+_PERCEPTION_M = 60.0
+"""Vehicles within this distance are considered when a vehicle is driven back onto its lane."""
 
 
 class Handover:
-    """Hands vehicles back, and steers those onto their lane that SUMO could not take without a jump.
+    """Hands vehicles back to SUMO, and drives those onto their lane that SUMO could not take without a jump.
 
     Attributes:
-        rough: ids that SUMO got although they stood askew.
+        rough: ids that SUMO got although they were not aligned with a lane.
     """
 
     def __init__(self, world: World, actuator: Actuator, road: RoadMap, sim: SimOptions) -> None:
@@ -40,7 +43,7 @@ class Handover:
         self._waiting_s: dict[int, float] = {}
         self._routes: dict[int, tuple[str, ...]] = {}
 
-    def settle(
+    def release_or_align(
         self,
         motion: MovedMotion,
         target: int,
@@ -49,162 +52,177 @@ class Handover:
         signals: Mapping[str, str] | None = None,
         plans: Tracks | None = None,
     ) -> MovedMotion:
-        """Release the moved vehicles that *motion* leaves out; returns *motion* and those still being aligned.
+        """Release the moved vehicles that *motion* leaves out; return *motion* with those that are still being aligned.
 
         Args:
             motion: of the coming steps.
             target: row of the target.
-            steps: until this is asked again.
+            steps: number of substeps until the next call.
             routes: id → edges of the seed scene's vehicles.
             signals: states of the traffic lights.
-            plans: what the policy has just planned.
+            plans: the policy's present plan.
         """
         self._relaxation.advance(steps * self.sim.step_s)
         planned = set(motion.rows.tolist())
-        inside = {row for row, state in self.actuator.moved.items() if state.inserted}
-        left = sorted((inside | self.actuator.outside) - planned - {target})
-        self._waiting_s = {row: waited for row, waited in self._waiting_s.items() if row in left}
-        if not left:
+        in_sumo = {row for row, state in self.actuator.moved.items() if state.inserted}
+        unplanned = sorted((in_sumo | self.actuator.outside) - planned - {target})
+        self._waiting_s = {row: waited for row, waited in self._waiting_s.items() if row in unplanned}
+        if not unplanned:
             return motion
-        rows = np.array(left, dtype=np.int64)
+        rows = np.array(unplanned, dtype=np.int64)
         xy, yaw = self.world.xy_m[rows], self.world.yaw_rad[rows]
-        lanes, s, d, turned = self.road.locate_many(xy, yaw)
-        fronts, _, beside, _ = self.road.locate_many(
+        lanes, s_m, d_m, yaw_error = self.road.locate_many(xy, yaw)
+        bumper_lanes, _, bumper_offsets, _ = self.road.locate_many(
             bumper_from_centre(xy, yaw, self.world.size_m[rows, 0]), yaw
         )
-        held = [
-            row in inside and self.actuator.holds(row, front, offset)
-            for row, front, offset in zip(left, fronts, beside.tolist(), strict=True)
+        sumo_agrees = [
+            row in in_sumo and self.actuator.sumo_agrees(row, bumper_lane, offset)
+            for row, bumper_lane, offset in zip(unplanned, bumper_lanes, bumper_offsets.tolist(), strict=True)
         ]
-        places = zip(s.tolist(), d.tolist(), turned.tolist(), strict=True)
-        askew = []
-        for row, lane, place, sure in zip(left, lanes, places, held, strict=True):
-            if row in inside and self._fits(row, lane, place, sure, steps * self.sim.step_s):
+        lane_poses = zip(s_m.tolist(), d_m.tolist(), yaw_error.tolist(), strict=True)
+        misaligned = []
+        for row, lane, lane_pose, agrees in zip(unplanned, lanes, lane_poses, sumo_agrees, strict=True):
+            if row in in_sumo and self._is_releasable(row, lane, lane_pose, agrees, steps * self.sim.step_s):
                 self.actuator.release(row, self.route(row, routes))
                 self._routes.pop(row, None)
                 self._relaxation.begin(row)
             else:
-                askew.append(row)
-        if not askew:
+                misaligned.append(row)
+        if not misaligned:
             return motion
-        scene = self._around(np.array(askew, dtype=np.int64), routes, signals or {})
+        scene = self._scene_around(np.array(misaligned, dtype=np.int64), routes, signals or {})
         return MovedMotion.join(motion, self._align(scene, plans, steps))
 
-    def _fits(
-        self, row: int, lane: str | None, place: tuple[float, float, float], sure: bool, wait_s: float
+    def _is_releasable(
+        self,
+        row: int,
+        lane: str | None,
+        lane_pose: tuple[float, float, float],
+        sumo_agrees: bool,
+        wait_s: float,
     ) -> bool:
-        """Return whether SUMO would leave *row* as it stands at *place*: s, d and heading on *lane*.
+        """Return whether *row* can be released now: SUMO would leave it where it is, or it has waited long enough.
 
-        *sure*: SUMO has it on that very lane.
+        Args:
+            row: of the vehicle.
+            lane: the lane nearest to it, if any.
+            lane_pose: its arc length, lateral offset and heading error on *lane*.
+            sumo_agrees: whether SUMO has it on that lane.
+            wait_s: time until the next attempt.
         """
-        s_m, offset_m, angle_rad = place
-        aligned = sure and lane is not None and abs(angle_rad) <= _ALIGNED_RAD
+        s_m, offset_m, yaw_error_rad = lane_pose
+        is_aligned = sumo_agrees and lane is not None and abs(yaw_error_rad) <= _ALIGNED_RAD
         if (
-            aligned
+            is_aligned
             and abs(offset_m) <= 0.5 * self.road.lanes[str(lane)].width_m
-            and self._whole(row, str(lane), s_m)
+            and self._is_straight_on_lane(row, str(lane), s_m)
         ):
             self._waiting_s.pop(row, None)
             return True
-        waited = self._waiting_s.get(row, 0.0) + wait_s
-        self._waiting_s[row] = waited
-        if waited > _PATIENCE_S and lane is not None:
+        waited_s = self._waiting_s.get(row, 0.0) + wait_s
+        self._waiting_s[row] = waited_s
+        if waited_s > _MAX_WAIT_S and lane is not None:
             self.rough.append(self.world.ids[row])
             self._waiting_s.pop(row)
             return True
         return False
 
-    def _whole(self, row: int, lane_id: str, s_m: float) -> bool:
-        """Return whether *row* is not in a turn: there SUMO bends its course to the bumper, half a metre off."""
+    def _is_straight_on_lane(self, row: int, lane_id: str, s_m: float) -> bool:
+        """Return whether *row* is not in a turn; there SUMO bends its path to the bumper, half a metre off."""
         lane = self.road.lanes[lane_id]
         if lane.is_internal:
             yaw = lane.line.segment_yaw_rad
             return bool(abs(wrap_angle(yaw[-1] - yaw[0])) <= _ALIGNED_RAD)
-        return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDS_MPS)
+        return bool(s_m >= 0.5 * self.world.size_m[row, 0] or self.world.speed_mps[row] < _STANDING_MPS)
 
-    def _around(
+    def _scene_around(
         self, rows: IntArray, routes: Mapping[str, tuple[str, ...]], signals: Mapping[str, str]
     ) -> Scene:
-        """Return *rows*, as those that may be moved, and everybody near them, now."""
+        """Return the present scene with *rows*, which alone are movable, and all road users near them."""
         world = self.world
         xy = world.xy_m[: len(world)]
-        gap = np.linalg.norm(xy[:, None] - xy[rows], axis=-1)
-        near = np.flatnonzero((gap < _SEES_M).any(axis=1))  # NaN compares as False
-        now, _ = stack(world, [world.frame()], near, 0.0, self.sim.model_step_s)
-        ahead = tuple(self._expected(row, routes) for row in near.tolist())
-        return Scene(now, 0, np.isin(near, rows), ahead, signals)
+        distance = np.linalg.norm(xy[:, None] - xy[rows], axis=-1)
+        near_rows = np.flatnonzero((distance < _PERCEPTION_M).any(axis=1))  # NaN compares as False
+        now, _ = stack(world, [world.frame()], near_rows, 0.0, self.sim.model_step_s)
+        routes_ahead = tuple(self._expected_route(row, routes) for row in near_rows.tolist())
+        return Scene(now, 0, np.isin(near_rows, rows), routes_ahead, signals)
 
-    def _expected(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-        """Return the edges that *row*, whoever moves it, is expected to drive."""
+    def _expected_route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+        """Return the edges that *row* is expected to drive, whether SUMO or this package moves it."""
         if row in self.world.in_sumo and row not in self.actuator.moved:
             return remaining_route(self.actuator.api, self.world.sumo_ids[row], self.road.beyond_rim)
         return self.route(row, routes)
 
     def _align(self, scene: Scene, plans: Tracks | None, steps: int) -> MovedMotion:
-        """Drive the movable vehicles of *scene* along their lanes for *steps*."""
-        # brings PyTorch with it, which runs whose background is SUMO's do not need
+        """Drive the movable vehicles of *scene* along their lanes for *steps* substeps."""
+        # imports PyTorch, which runs with SUMO's own drivers as background do not need
         from advdiff_sumo.traffic.planning.lane_return import return_to_lanes
 
         futures = return_to_lanes(self.road, scene, steps * self.sim.step_s, plans)
-        mine = scene.movable
-        state: State = futures.xy_m[mine, 0], futures.yaw_rad[mine, 0], futures.speed_mps[mine, 0]
-        plan: State = futures.xy_m[mine, 1:], futures.yaw_rad[mine, 1:], futures.speed_mps[mine, 1:]
+        movable = scene.movable
+        state: State = futures.xy_m[movable, 0], futures.yaw_rad[movable, 0], futures.speed_mps[movable, 0]
+        plan: State = futures.xy_m[movable, 1:], futures.yaw_rad[movable, 1:], futures.speed_mps[movable, 1:]
         reference = densify(state, plan, futures.dt_s, self.sim.step_s, steps)
-        length = futures.size_m[mine, 0]
+        length = futures.size_m[movable, 0]
         xy, yaw, speed = track(state, reference, length, self.sim.step_s, Limits())
-        rows = [self.world.index[name] for name in np.array(scene.history.ids)[mine].tolist()]
+        rows = [self.world.index[name] for name in np.array(scene.history.ids)[movable].tolist()]
         return MovedMotion(
             xy, yaw, speed, np.array(rows, dtype=np.int64), np.ones((len(rows), steps), dtype=np.bool_)
         )
 
     def note_routes(self, routes: Mapping[str, tuple[str, ...]]) -> None:
-        """Note which edges vehicles that a policy inserts, by id, are going to drive."""
+        """Note the edges that vehicles inserted by a policy, given by id, are going to drive."""
         for name, route in routes.items():
             row = self.world.row_of(name)
             if row is not None and row not in self._routes:
                 self._routes[row] = route
 
     def note_own_route(self, row: int, route: tuple[str, ...]) -> None:
-        """Note which edges *row* was going to drive before it was taken from SUMO; () where that is not known."""
+        """Note the edges that *row* was going to drive before it was taken from SUMO; () if unknown."""
         if route:
             self._routes[row] = route
 
     def route(self, row: int, routes: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-        """Return the edges that *row*, which we move, is expected to drive from its present one on."""
+        """Return the edges that moved vehicle *row* is expected to drive, from its present edge on."""
         return self._routes.get(row) or routes.get(self.world.ids[row], ())
 
     def predict(
         self, ends: Mapping[int, tuple[FloatArray, float]], routes: Mapping[str, tuple[str, ...]]
     ) -> None:
-        """Tell SUMO where the moved vehicles are going, from their present poses and the ends of their plans."""
+        """Tell SUMO the routes of the moved vehicles, from their present poses and the ends of their plans.
+
+        Args:
+            ends: row → last position (2,) and heading of its plan.
+            routes: id → edges of the seed scene's vehicles.
+        """
         rows = [row for row in ends if row in self.actuator.moved and self.actuator.moved[row].inserted]
         if not rows:
             return
-        now = np.array(rows, dtype=np.int64)
-        xy = np.concatenate((self.world.xy_m[now], [ends[row][0] for row in rows]))
-        yaw = np.concatenate((self.world.yaw_rad[now], [ends[row][1] for row in rows]))
+        row_array = np.array(rows, dtype=np.int64)
+        xy = np.concatenate((self.world.xy_m[row_array], [ends[row][0] for row in rows]))
+        yaw = np.concatenate((self.world.yaw_rad[row_array], [ends[row][1] for row in rows]))
         lanes, *_ = self.road.locate_many(xy, yaw)
-        here, there = lanes[: len(rows)], lanes[len(rows) :]
-        for row, start, end in zip(rows, here, there, strict=True):
-            route = self._predicted(row, start, end, routes)
+        start_lanes, end_lanes = lanes[: len(rows)], lanes[len(rows) :]
+        for row, start, end in zip(rows, start_lanes, end_lanes, strict=True):
+            route = self._predicted_route(row, start, end, routes)
             self._routes[row] = route
             self.actuator.predict_route(row, route)
 
-    def _predicted(
-        self, row: int, start: str | None, end: str | None, routes: Mapping[str, tuple[str, ...]]
+    def _predicted_route(
+        self, row: int, start_lane: str | None, end_lane: str | None, routes: Mapping[str, tuple[str, ...]]
     ) -> tuple[str, ...]:
-        if start is None:
+        if start_lane is None:
             return ()
-        first = self.road.edge_of(start)
-        last = self.road.edge_of(end) if end is not None else first
-        known = self.route(row, routes)
-        if first in known and (last in known[known.index(first) :]):
-            return known[known.index(first) :]
+        first = self.road.edge_of(start_lane)
+        last = self.road.edge_of(end_lane) if end_lane is not None else first
+        known_route = self.route(row, routes)
+        if first in known_route and (last in known_route[known_route.index(first) :]):
+            return known_route[known_route.index(first) :]
         return guessed_route(self.road, row, first, last)
 
 
 def guessed_route(road: RoadMap, row: int, first: str, last: str) -> tuple[str, ...]:
-    """Return edges from *first* over *last*, where a plan ends, and on from there, drawn for *row*."""
-    joined = (first,) if first == last else road.route(first, last) or (first,)
-    onward = road.random_route(joined[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
-    return (*joined[:-1], *(onward or joined[-1:]))
+    """Return the edges from *first* to *last*, where a plan ends, and a random continuation seeded by *row*."""
+    planned = (first,) if first == last else road.route(first, last) or (first,)
+    onward = road.random_route(planned[-1], _ROUTE_AHEAD_M, np.random.default_rng(row))
+    return (*planned[:-1], *(onward or planned[-1:]))

@@ -1,4 +1,4 @@
-"""Which vehicle of natural traffic becomes the target of a seed scene, and why none does."""
+"""Choose the vehicle of natural traffic that becomes the target of a seed scene, or say why there is none."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEIGHBOUR_RADIUS_M = 50.0
 
 
 class Lacking(StrEnum):
-    """What none of the cars had any more, in the order in which it is asked for."""
+    """The requirement at which the last candidates failed; members are in the order of the checks."""
 
     CAR = "no car was there long enough"
     SPEED = "no car was fast enough"
@@ -49,16 +49,16 @@ class TargetChoice:
     """Chooses targets in running traffic, and counts why there was none.
 
     Attributes:
-        lacking: how often each thing was what no car had.
+        lacking: requirement → how often the last candidates failed at it.
     """
 
     def __init__(self, road: RoadMap, scene: SceneOptions, sim: SimOptions) -> None:
-        """Seek cars on *road* such as *scene* wants, seen for the history of *sim*."""
+        """Look for cars on *road* that meet *scene* and have been present for the history of *sim*."""
         self.road, self.scene, self.sim = road, scene, sim
         self.lacking: Counter[Lacking] = Counter()
 
     def choose(self, api: Any, world: World, frames: Sequence[Frame], rng: np.random.Generator) -> int | None:
-        """Return the row of a car with traffic around it and a route ahead, drawn among all such, or None.
+        """Return the row of a random car that meets all requirements, or None if there is none.
 
         Args:
             api: libsumo, at the last of *frames*.
@@ -74,43 +74,53 @@ class TargetChoice:
 
     @property
     def wanted(self) -> str:
-        """What a target had to be, as the middle of a sentence."""
+        """The requirements of a target, as the middle of a sentence."""
         scene = self.scene
         situation = "" if scene.situation == "any" else f" is '{scene.situation}'"
         near = f"with {scene.min_neighbours} others near it"
         return f"{near} and a route of {scene.min_route_m:g} m ahead{situation}"
 
     def advice(self, own_demand: bool) -> str:
-        """Return what was lacking most often, and what helps, as the end of a sentence.
+        """Return the requirement that failed most often, and a remedy, as the end of a sentence.
 
         Args:
-            own_demand: whether the user brought the demand, whose density is no option.
+            own_demand: whether the user gave the demand, the density of which is then no option.
         """
         (lacking, count), *_ = self.lacking.most_common(1)
         advice = (_ADVICE | _ADVICE_ON_DEMAND if own_demand else _ADVICE)[lacking]
         return f"{lacking} (at {count} of {self.lacking.total()} looks): {advice}"
 
     def _usable(self, api: Any, world: World, frames: Sequence[Frame]) -> tuple[list[int], Lacking]:
-        """Return the rows of cars that may be a target, and what the last of them lacked where there is none."""
+        """Return the rows of cars that meet all requirements; if there is none, also the requirement that failed last."""
         frame = frames[-1]
         cars = _cars(world, frames, self.sim)
-        moving = cars[frame.speed_mps[cars] >= self.scene.min_speed_mps]
+        fast_cars = cars[frame.speed_mps[cars] >= self.scene.min_speed_mps]
         vehicles = frame.present & (world.classes[: len(frame.present)] != AgentClass.PEDESTRIAN)
-        gaps = np.linalg.norm(frame.xy_m[moving, None] - frame.xy_m[None, vehicles], axis=-1)
-        crowded = moving[(gaps < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours]
-        routed = [row for row in crowded.tolist() if self._has_route(api, world, row)]
+        distances = np.linalg.norm(frame.xy_m[fast_cars, None] - frame.xy_m[None, vehicles], axis=-1)
+        cars_with_neighbours = fast_cars[
+            (distances < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours
+        ]
+        cars_with_route = [row for row in cars_with_neighbours.tolist() if self._has_route(api, world, row)]
         signals = {
             name: api.trafficlight.getRedYellowGreenState(name) for name in api.trafficlight.getIDList()
         }
-        usable = [row for row in routed if self._fits(api, world, frame, row, signals)]
-        stages = zip(Lacking, (cars, moving, crowded, routed, usable), strict=True)
-        return usable, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
+        usable_cars = [
+            row for row in cars_with_route if self._is_in_situation(api, world, frame, row, signals)
+        ]
+        stages = zip(
+            Lacking, (cars, fast_cars, cars_with_neighbours, cars_with_route, usable_cars), strict=True
+        )
+        return usable_cars, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
 
-    def _fits(self, api: Any, world: World, frame: Frame, row: int, signals: dict[str, str]) -> bool:
+    def _is_in_situation(
+        self, api: Any, world: World, frame: Frame, row: int, signals: dict[str, str]
+    ) -> bool:
+        """Return whether *row* is in the situation wanted."""
         route = remaining_route(api, world.ids[row], self.road.beyond_rim)
         return in_situation(self.scene.situation, self.road, world, frame, row, route, signals)
 
     def _has_route(self, api: Any, world: World, row: int) -> bool:
+        """Return whether *row* is a car off junctions, without stops, on a long enough route without U-turns."""
         road, lane = self.road, world.lane[row]
         if lane not in road.lanes or road.lanes[lane].is_internal:
             return False
@@ -118,30 +128,30 @@ class TargetChoice:
         if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
             return False
         route = remaining_route(api, name, road.beyond_rim)
-        length = sum(road.edges[edge].length_m for edge in route)
-        long_enough = length - float(api.vehicle.getLanePosition(name)) >= self.scene.min_route_m
-        return long_enough and not any(turns_round(road, a, b) for a, b in pairwise(route))
+        length_m = sum(road.edges[edge].length_m for edge in route)
+        is_long_enough = length_m - float(api.vehicle.getLanePosition(name)) >= self.scene.min_route_m
+        return is_long_enough and not any(turns_round(road, a, b) for a, b in pairwise(route))
 
 
 def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:
-    """Return the edges of vehicle *name* from the present one on, up to the first that lies *beyond_rim*."""
+    """Return the edges of vehicle *name* from its present edge on, up to the first that lies *beyond_rim*."""
     vehicle = api.vehicle
     ahead = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :]
     return tuple(takewhile(lambda edge: edge not in beyond_rim, ahead))
 
 
 def turns_round(road: RoadMap, before: str, after: str) -> bool:
-    """Return whether one gets from *before* to *after* by turning round: SUMO does so on the spot, a car cannot."""
+    """Return whether all links from *before* to *after* are U-turns: SUMO turns on the spot, a car cannot."""
     links = (link for lane in road.edges[before].lane_ids for link in road.lanes[lane].successors)
     directions = {link.direction for link in links if road.lanes[link.to_lane].edge_id == after}
     return bool(directions) and directions <= {"t", "T"}
 
 
 def _cars(world: World, frames: Sequence[Frame], sim: SimOptions) -> IntArray:
-    """Return the rows of cars that have been there for a whole history."""
-    frame, earlier = frames[-1], len(frames) - 1 - sim.substeps * (sim.history_steps - 1)
-    there = frame.present & (world.classes[: len(frame.present)] == AgentClass.CAR)
-    past = frames[earlier].present if earlier >= 0 else there[:0]
-    there[len(past) :] = False
-    there[: len(past)] &= past
-    return np.flatnonzero(there)
+    """Return the rows of cars that are present now and were at the beginning of a history."""
+    frame, first = frames[-1], len(frames) - 1 - sim.substeps * (sim.history_steps - 1)
+    is_car = frame.present & (world.classes[: len(frame.present)] == AgentClass.CAR)
+    was_present = frames[first].present if first >= 0 else is_car[:0]
+    is_car[len(was_present) :] = False
+    is_car[: len(was_present)] &= was_present
+    return np.flatnonzero(is_car)

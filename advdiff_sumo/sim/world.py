@@ -1,4 +1,4 @@
-"""All vehicles of a running simulation as arrays; a vehicle keeps its row for the whole episode."""
+"""States of all vehicles of a running simulation as arrays; a vehicle keeps its row for the whole episode."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.sumo_classes import CLASS_OF_VCLASS
 
 _POSITION, _ANGLE, _SPEED, _LANE, _LATERAL = 0x42, 0x43, 0x40, 0x51, 0xB8  # libsumo.constants.VAR_*
-_VEHICLE = 0xC3  # the vehicle that a person rides in
-PERSON = "person."  # before SUMO's name of somebody on foot, who may be called as a vehicle is
-_NOWHERE = -1e9  # SUMO's INVALID_DOUBLE_VALUE is −2³⁰
+_VEHICLE = 0xC3  # the vehicle in which a person rides
+PERSON = "person."  # prefix of pedestrians' names, as a person and a vehicle of SUMO may share a name
+_NO_POSITION = -1e9  # coordinates below are none: SUMO's INVALID_DOUBLE_VALUE is −2³⁰
 VARIABLES = (_POSITION, _ANGLE, _SPEED, _LANE, _LATERAL)
 
 
@@ -32,7 +32,7 @@ class Frame:
 
     @property
     def present(self) -> BoolArray:
-        """(n,) whether the vehicle is there."""
+        """(n,) whether the vehicle is present."""
         return np.asarray(self.controller != Controller.ABSENT)
 
 
@@ -41,14 +41,14 @@ class World:
 
     Attributes:
         ids: name of each row.
-        sumo_ids: SUMO's name of each row; another one only after SUMO lost the vehicle and got it anew.
+        sumo_ids: SUMO's name of each row; differs only after the vehicle was inserted into SUMO again.
         index: row of each of SUMO's names.
-        in_sumo: rows that SUMO has.
-        had_in_sumo: rows that SUMO has or had.
-        on_foot: rows of people whom SUMO lets walk; nobody else moves them, and they are in none of the above.
+        in_sumo: rows that are in SUMO.
+        had_in_sumo: rows that are or were in SUMO.
+        on_foot: rows of pedestrians. SUMO alone moves them, and they are in neither of the two sets above.
         lane: SUMO's lane of each row at the last read; "" off the road.
-        beside_m: how far SUMO had the front bumper of each row beside that lane's centre line, without sign.
-        beyond_rim: edges beyond the rim of a clipped map; who is there is not in the scene.
+        beside_m: distance of the front bumper of each row from that lane's centre line, unsigned, as SUMO has it.
+        beyond_rim: edges beyond the rim of a clipped map; vehicles there are not in the scene.
         xy_m, yaw_rad, speed_mps: present states, (capacity, …); NaN where absent.
         controller: (capacity,) values of :class:`Controller`.
     """
@@ -74,7 +74,7 @@ class World:
         return len(self.ids)
 
     def add(self, name: str, agent_class: int, length_m: float, width_m: float) -> int:
-        """Return the row of *name*, a new one if it was not there before."""
+        """Return the row of *name*; add one if the name is new."""
         if name in self.index:
             return self.index[name]
         row = len(self.ids)
@@ -90,11 +90,11 @@ class World:
         return row
 
     def row_of(self, name: str) -> int | None:
-        """Return the row of *name*, or None when it was never there."""
+        """Return the row of *name*, or None if it was never present."""
         return self.index.get(name)
 
     def rename(self, row: int, sumo_id: str) -> None:
-        """Note that SUMO has *row* under another name from now on."""
+        """Note that SUMO has *row* under the name *sumo_id* from now on."""
         self.sumo_ids[row] = sumo_id
         self.index[sumo_id] = row
 
@@ -106,18 +106,18 @@ class World:
         speed_mps: FloatArray,
         who: Controller | IntArray,
     ) -> None:
-        """Write states of *rows*, moved by *who*: one for all, or (N,) values of :class:`Controller`."""
+        """Set the states of *rows*, moved by *who*: one controller for all, or (N,) values of :class:`Controller`."""
         self.xy_m[rows] = xy_m
         self.yaw_rad[rows] = yaw_rad
         self.speed_mps[rows] = speed_mps
         self.controller[rows] = who
 
     def remove(self, rows: IntArray | Iterable[int]) -> None:
-        """Mark *rows* as gone; they keep their row."""
-        picked = np.asarray(list(rows), dtype=np.int64)
+        """Mark *rows* as absent; the vehicles keep their rows."""
+        row_array = np.asarray(list(rows), dtype=np.int64)
         for values in (self.xy_m, self.yaw_rad, self.speed_mps):
-            values[picked] = np.nan
-        self.controller[picked] = Controller.ABSENT
+            values[row_array] = np.nan
+        self.controller[row_array] = Controller.ABSENT
 
     def frame(self) -> Frame:
         """Return a copy of the present states."""
@@ -130,17 +130,18 @@ class World:
         )
 
     def _grow(self) -> None:
-        more = len(self.classes)
-        self.classes = np.concatenate((self.classes, np.zeros(more, dtype=np.int64)))
-        self.size_m = np.concatenate((self.size_m, np.zeros((more, 2))))
-        self.xy_m = np.concatenate((self.xy_m, np.full((more, 2), np.nan)))
-        self.yaw_rad = np.concatenate((self.yaw_rad, np.full(more, np.nan)))
-        self.speed_mps = np.concatenate((self.speed_mps, np.full(more, np.nan)))
-        self.controller = np.concatenate((self.controller, np.full(more, Controller.ABSENT, dtype=np.int64)))
+        """Double the capacity."""
+        added = len(self.classes)
+        self.classes = np.concatenate((self.classes, np.zeros(added, dtype=np.int64)))
+        self.size_m = np.concatenate((self.size_m, np.zeros((added, 2))))
+        self.xy_m = np.concatenate((self.xy_m, np.full((added, 2), np.nan)))
+        self.yaw_rad = np.concatenate((self.yaw_rad, np.full(added, np.nan)))
+        self.speed_mps = np.concatenate((self.speed_mps, np.full(added, np.nan)))
+        self.controller = np.concatenate((self.controller, np.full(added, Controller.ABSENT, dtype=np.int64)))
 
 
 def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
-    """Subscribe to vehicles that SUMO has just inserted and give them rows; returns the rows."""
+    """Subscribe to vehicles that SUMO has just inserted, and return their rows."""
     rows = []
     for name in names:
         api.vehicle.subscribe(name, VARIABLES)
@@ -152,18 +153,18 @@ def register(world: World, api: Any, names: Iterable[str]) -> list[int]:
     return rows
 
 
-def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
-    """Take the state of every vehicle and of everybody on foot from SUMO.
+def read(world: World, api: Any, controlled: Collection[int]) -> IntArray:
+    """Read the states of all vehicles and pedestrians from SUMO.
 
     Args:
         world: updated in place.
         api: libsumo or traci.
-        ours: rows whose states are our own; of these only the place on a lane is read.
+        controlled: rows whose states are the package's own; only their lane and distance from it are read.
 
     Returns:
-        Rows that SUMO no longer knows, or has beyond the rim of the map.
+        Rows that SUMO no longer has, or has beyond the rim of the map.
     """
-    # before its first step, libsumo still shows what the simulation before this one was subscribed to
+    # before the first step, libsumo still returns the subscriptions of the previous simulation
     results = {k: v for k, v in api.vehicle.getAllSubscriptionResults().items() if k in world.index}
     rows, states, lost = [], [], []
     rim = world.beyond_rim
@@ -171,15 +172,15 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
         row = world.index[name]
         world.lane[row], world.beside_m[row] = values[_LANE], abs(values[_LATERAL])
         x, y = values[_POSITION][:2]
-        if row in ours:
+        if row in controlled:
             continue
-        if x < _NOWHERE or (rim and values[_LANE].rpartition("_")[0] in rim):
-            lost.append(row)  # dropped off the road by SUMO, but not arrived; or beyond the rim
+        if x < _NO_POSITION or (rim and values[_LANE].rpartition("_")[0] in rim):
+            lost.append(row)  # off the road or beyond the rim, but not arrived
         else:
             rows.append(row)
             states.append((x, y, values[_ANGLE], values[_SPEED]))
     if rows:
-        _take_states(world, np.array(rows), np.array(states))
+        _set_states(world, np.array(rows), np.array(states))
     before = world.in_sumo
     world.in_sumo = {world.index[name] for name in results}
     lost += _read_people(world, api)
@@ -187,7 +188,10 @@ def read(world: World, api: Any, ours: Collection[int]) -> IntArray:
 
 
 def _read_people(world: World, api: Any) -> list[int]:
-    """Take the states of people on foot from SUMO, who rides in a vehicle left out; return who was there before."""
+    """Read the states of pedestrians from SUMO, and return the rows of those who have left.
+
+    People who ride in a vehicle are not pedestrians.
+    """
     names = api.person.getIDList()
     if not names and not world.on_foot:
         return []
@@ -197,23 +201,25 @@ def _read_people(world: World, api: Any) -> list[int]:
         if row is None or row not in world.on_foot:
             row = _add_person(world, api, name)
         values = api.person.getSubscriptionResults(name)
-        if not values[_VEHICLE] and values[_POSITION][0] > _NOWHERE:
+        if not values[_VEHICLE] and values[_POSITION][0] > _NO_POSITION:
             rows.append(row)
             states.append((*values[_POSITION][:2], values[_ANGLE], values[_SPEED]))
     gone = sorted(world.on_foot.difference(rows))
     world.on_foot = set(rows)
     if rows:
-        _take_states(world, np.array(rows), np.array(states))
+        _set_states(world, np.array(rows), np.array(states))
     return gone
 
 
 def _add_person(world: World, api: Any, name: str) -> int:
+    """Subscribe to pedestrian *name* and return the row for it."""
     api.person.subscribe(name, (_POSITION, _ANGLE, _SPEED, _VEHICLE))
     size_m = api.person.getLength(name), api.person.getWidth(name)
     return world.add(PERSON + name, AgentClass.PEDESTRIAN, *size_m)
 
 
-def _take_states(world: World, rows: IntArray, states: FloatArray) -> None:
+def _set_states(world: World, rows: IntArray, states: FloatArray) -> None:
+    """Set (N, 4) states of SUMO: front bumper x and y, angle in degrees, speed."""
     yaw = yaw_from_sumo(states[:, 2])
     centre = centre_from_bumper(states[:, :2], yaw, world.size_m[rows, 0])
     world.set_state(rows, centre, yaw, states[:, 3], Controller.SUMO)
@@ -222,15 +228,18 @@ def _take_states(world: World, rows: IntArray, states: FloatArray) -> None:
 def stack(
     world: World, frames: list[Frame], rows: IntArray, t0_s: float, dt_s: float
 ) -> tuple[Tracks, IntArray]:
-    """Return tracks (A, T) of *rows* over *frames*, and who moved them (A, T)."""
+    """Return tracks (A, T) of *rows* over *frames*, and which controller moved them (A, T)."""
     shape = (len(rows), len(frames))
     xy, yaw, speed = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
-    who = np.full(shape, Controller.ABSENT, dtype=np.int64)
+    controller = np.full(shape, Controller.ABSENT, dtype=np.int64)
     for t, frame in enumerate(frames):
-        there = rows < len(frame.yaw_rad)
-        old = rows[there]
-        xy[there, t], yaw[there, t] = frame.xy_m[old], frame.yaw_rad[old]
-        speed[there, t], who[there, t] = frame.speed_mps[old], frame.controller[old]
+        is_known = rows < len(frame.yaw_rad)
+        known_rows = rows[is_known]
+        xy[is_known, t], yaw[is_known, t] = frame.xy_m[known_rows], frame.yaw_rad[known_rows]
+        speed[is_known, t], controller[is_known, t] = (
+            frame.speed_mps[known_rows],
+            frame.controller[known_rows],
+        )
     tracks = Tracks(
         ids=tuple(world.ids[row] for row in rows),
         classes=world.classes[rows],
@@ -238,8 +247,8 @@ def stack(
         xy_m=xy,
         yaw_rad=yaw,
         speed_mps=speed,
-        valid=who != Controller.ABSENT,
+        valid=controller != Controller.ABSENT,
         t0_s=t0_s,
         dt_s=dt_s,
     )
-    return tracks, who
+    return tracks, controller

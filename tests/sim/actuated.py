@@ -40,7 +40,7 @@ def move(
     actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)
     actuator.move(rows, at, heading)
     s.session.step()
-    actuator.settle(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
-    read(actuator.world, s.api, actuator.ours)
+    actuator.take_inserted(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
+    read(actuator.world, s.api, actuator.controlled_rows)
     if take_out:
-        actuator.leave_lanes()
+        actuator.remove_off_lanes()

@@ -43,12 +43,12 @@ def walk(net: Path, seed: int) -> None:
                 _plan(road, actuator, rows, rng)
             actuator.move(rows, world.xy_m[rows], yaw)
             session.step()
-            actuator.settle(register(world, session.api, session.api.simulation.getDepartedIDList()))
-            for row in read(world, session.api, actuator.ours).tolist():
+            actuator.take_inserted(register(world, session.api, session.api.simulation.getDepartedIDList()))
+            for row in read(world, session.api, actuator.controlled_rows).tolist():
                 if row in actuator.moved and actuator.moved[row].inserted:
                     actuator.moved.pop(row)
                     actuator.outside.add(row)
-            actuator.leave_lanes()
+            actuator.remove_off_lanes()
 
 
 def _placed(road: RoadMap, world: World, rng: np.random.Generator) -> FloatArray:

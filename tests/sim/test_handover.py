@@ -80,9 +80,9 @@ def hand_over(
 
     def step() -> None:
         s.session.step()
-        actuator.settle(register(world, s.api, s.api.simulation.getDepartedIDList()))
-        read(world, s.api, actuator.ours)
-        actuator.leave_lanes()
+        actuator.take_inserted(register(world, s.api, s.api.simulation.getDepartedIDList()))
+        read(world, s.api, actuator.controlled_rows)
+        actuator.remove_off_lanes()
         assert np.isfinite(world.xy_m[0]).all()
         out.append((*world.xy_m[0], world.yaw_rad[0], world.speed_mps[0]))
 
@@ -101,7 +101,7 @@ def hand_over(
         step()
     begun = len(out)
     for _ in range(40):
-        motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, routes)
+        motion = handover.release_or_align(MovedMotion.none(PERIOD), -1, PERIOD, routes)
         if not motion.rows.size:
             break
         come_back()
@@ -111,7 +111,7 @@ def hand_over(
             actuator.move(rows, *at)
             step()
     taken = len(out)
-    assert not actuator.ours
+    assert not actuator.controlled_rows
     for _ in range(10):
         step()
     return Released(np.array(out), taken, STEP_S * (taken - begun), handover.rough)
@@ -177,14 +177,14 @@ def test_who_stands_in_a_turn_clears_it_behind_the_oncoming(crossing: Path) -> N
         boxes, speeds, motion = [], [], MovedMotion.none(PERIOD)
         for k in range(120):
             if actuator.moved and k % PERIOD == 0:
-                motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, routes)
+                motion = handover.release_or_align(MovedMotion.none(PERIOD), -1, PERIOD, routes)
             if motion.rows.size:
                 at = motion.xy_m[:, k % PERIOD], motion.yaw_rad[:, k % PERIOD]
                 world.set_state(rows, *at, motion.speed_mps[:, k % PERIOD], Controller.POLICY)
                 actuator.move(rows, *at)
             s.session.step()
-            read(world, s.api, actuator.ours)
-            actuator.leave_lanes()
+            read(world, s.api, actuator.controlled_rows)
+            actuator.remove_off_lanes()
             boxes.append(corners(world.xy_m[:2], world.yaw_rad[:2], world.size_m[:2]))
             speeds.append(world.speed_mps[:2].copy())
     assert handover.rough == []
@@ -230,7 +230,7 @@ def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
         world.set_state(np.array([row]), point[None], np.zeros(1), np.array([9.0]), Controller.POLICY)
         handover.actuator.outside.add(row)
         for _ in range(8):
-            motion = handover.settle(MovedMotion.none(PERIOD), -1, PERIOD, {})
+            motion = handover.release_or_align(MovedMotion.none(PERIOD), -1, PERIOD, {})
             world.set_state(
                 motion.rows,
                 motion.xy_m[:, -1],
@@ -318,13 +318,13 @@ def take_back_behind(
             xy, yaw = np.array([point for point, _ in poses]), np.array([along for _, along in poses])
             if taken and k % PERIOD == 0:
                 there = np.ones((1, 1), dtype=np.bool_)
-                handover.settle(
+                handover.release_or_align(
                     MovedMotion(xy[:, None], yaw[:, None], speeds[:, None], held, there), -1, PERIOD, routes
                 )
             world.set_state(held, xy, yaw, speeds, Controller.POLICY)
             actuator.move(held, xy, yaw)
             s.session.step()
-            read(world, s.api, actuator.ours)
+            read(world, s.api, actuator.controlled_rows)
             if taken:
                 between = world.xy_m[rows[1], 0] - world.xy_m[rows[0], 0] - LENGTH_M
                 own = world.speed_mps[rows[0]]

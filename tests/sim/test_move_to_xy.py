@@ -320,7 +320,7 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
         assert (row in actuator.moved) == (y == -4.0)
         actuator.remove(row)
         s.session.step()
-        actuator.leave_lanes()
+        actuator.remove_off_lanes()
         assert s.api.vehicle.getIDList() == ()
 
 

@@ -225,7 +225,7 @@ class Actuator:
         return np.array(off_lane, dtype=np.int64)
 
     def _connected_edges(self, lane_id: str) -> tuple[str, ...]:
-        """Return the edge of *lane_id* and its successors, alternating; a junction's lane belongs to the edge before."""
+        """Return the edge of *lane_id* and its successors, alternating; in a junction, those of the edge before it."""
         link = self.road.link_over.get(lane_id)
         if lane_id not in self.road.lanes:
             return ()

@@ -1,4 +1,4 @@
-"""Traffic for a net that comes without demand: varied drivers on sensible routes, people on sidewalks."""
+"""Generate demand for a net that has none: drivers of various habits on random routes, and pedestrians."""
 
 from __future__ import annotations
 
@@ -15,24 +15,30 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.on_foot.footways import Footways, read_footways
 from advdiff_sumo.sim.sim_options import SceneOptions
 
-_HEADWAY_S, _ACCEL_MPS2, _DECEL_MPS2, _SPEED_FACTOR, _MIN_GAP_M = (
-    (0.9, 1.8),
-    (1.6, 2.8),
-    (3.0, 4.5),
-    (0.85, 1.1),
-    (1.5, 3.0),
-)
+# Ranges of the drivers' parameters.
+_HEADWAY_S = (0.9, 1.8)
+_ACCEL_MPS2 = (1.6, 2.8)
+_DECEL_MPS2 = (3.0, 4.5)
+_SPEED_FACTOR = (0.85, 1.1)
+_MIN_GAP_M = (1.5, 3.0)
 _DRIVER_TYPES = 8
 _MIN_ROUTE_M = 250.0
-_MEAN_TRIP_S = 150.0  # present vehicles / inflow, by Little's law
-_PACES_MPS = (1.1, 1.25, 1.4, 1.6)
-_WALK_REACH_M = 300.0  # between the middles of the sidewalks where a trip begins and ends
-_MEAN_WALK_S = 200.0  # present people / inflow, by Little's law
+_MEAN_TRIP_S = 150.0  # vehicles present / inflow, by Little's law
+_WALKING_SPEEDS_MPS = (1.1, 1.25, 1.4, 1.6)
+_MAX_WALK_M = 300.0  # between the midpoints of the sidewalks where a trip begins and ends
+_MEAN_WALK_S = 200.0  # pedestrians present / inflow, by Little's law
 
 
 @dataclass(frozen=True)
 class Trip:
-    """One vehicle's departure."""
+    """The departure of one vehicle.
+
+    Attributes:
+        depart_s: time of departure.
+        type_id: vType.
+        route: edges.
+        on_the_way: whether the vehicle is inserted anywhere on its first edge, at speed, to fill the net.
+    """
 
     depart_s: float
     type_id: str
@@ -45,13 +51,13 @@ def write_demand(road: RoadMap, options: SceneOptions, duration_s: float, seed: 
 
     Args:
         road: the net.
-        options: density, bound and share of trucks.
-        duration_s: until when vehicles depart.
+        options: density, maximum and share of trucks.
+        duration_s: time of the last departures.
         seed: a node of the seed tree.
         path: the ``.rou.xml`` to write.
 
     Raises:
-        NetError: the net has no route that a car could drive, or no sidewalks for the people wanted.
+        NetError: the net has no route that a car could drive, or no sidewalks for the pedestrians wanted.
     """
     rng = seed.generator()
     root = Element("routes")
@@ -66,17 +72,17 @@ def write_demand(road: RoadMap, options: SceneOptions, duration_s: float, seed: 
     if options.pedestrians_per_km > 0.0:
         for attributes in person_types():
             SubElement(root, "vType", attributes)
-        people = seed.child("people").generator()
-        departures += walks(road.path, options.pedestrians_per_km, duration_s, people)
-        departures.sort(key=lambda row: row[0])
-    root.extend(row for _, row in departures)
+        walk_rng = seed.child("people").generator()
+        departures += walks(road.path, options.pedestrians_per_km, duration_s, walk_rng)
+        departures.sort(key=lambda departure: departure[0])
+    root.extend(departure for _, departure in departures)
     indent(root)
     ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return path
 
 
 def vehicle_types(rng: np.random.Generator) -> Iterator[dict[str, str]]:
-    """Yield vType attributes: cars with drivers of many habits, trucks and buses."""
+    """Yield vType attributes: cars with drivers of various habits, trucks and buses."""
     for number in range(_DRIVER_TYPES):
         length = rng.uniform(4.0, 5.1)
         yield _vtype(f"car{number}", "passenger", length, 0.35 * length + 0.2, 1.0, rng)
@@ -85,13 +91,14 @@ def vehicle_types(rng: np.random.Generator) -> Iterator[dict[str, str]]:
 
 
 def _vtype(
-    name: str, vclass: str, length: float, width: float, vigour: float, rng: np.random.Generator
+    name: str, vclass: str, length: float, width: float, accel_factor: float, rng: np.random.Generator
 ) -> dict[str, str]:
+    """Return random vType attributes; *accel_factor* scales the acceleration."""
     values = {
         "length": length,
         "width": width,
         "tau": rng.uniform(*_HEADWAY_S),
-        "accel": vigour * rng.uniform(*_ACCEL_MPS2),
+        "accel": accel_factor * rng.uniform(*_ACCEL_MPS2),
         "decel": rng.uniform(*_DECEL_MPS2),
         "emergencyDecel": 9.0,
         "speedFactor": rng.uniform(*_SPEED_FACTOR),
@@ -102,30 +109,35 @@ def _vtype(
 
 
 def _vehicle(number: int, trip: Trip) -> dict[str, str]:
-    where = "random_free" if trip.on_the_way else "base"
-    pace = "max" if not trip.on_the_way else "desired"
+    """Return the attributes of the vehicle of *trip*."""
+    depart_pos = "random_free" if trip.on_the_way else "base"
+    depart_speed = "max" if not trip.on_the_way else "desired"
     return {
         "id": f"v{number}",
         "type": trip.type_id,
         "depart": f"{trip.depart_s:.1f}",
         "departLane": "best",
-        "departPos": where,
-        "departSpeed": pace,
+        "departPos": depart_pos,
+        "departSpeed": depart_speed,
     }
 
 
 def _trips(
     road: RoadMap, options: SceneOptions, duration_s: float, rng: np.random.Generator
 ) -> Iterator[Trip]:
-    edges = [e for e in sorted(road.edges) if _drivable(road, e)]
+    """Yield trips that fill the net at time 0, and then trips that begin at its entries."""
+    edges = [edge for edge in sorted(road.edges) if _drivable(road, edge)]
     if not edges:
         raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-    lane_m = np.array([road.edges[e].length_m * car_lanes(road, e) for e in edges])
-    present = int(np.clip(options.density_per_km * lane_m.sum() / 1000.0, 4, options.max_vehicles))
-    sources = [e for e in road.source_edges() if _drivable(road, e)] or edges
-    capacity = np.array([road.edges[e].speed_mps * car_lanes(road, e) for e in sources])
+    lane_lengths_m = np.array([road.edges[edge].length_m * car_lanes(road, edge) for edge in edges])
+    present = int(np.clip(options.density_per_km * lane_lengths_m.sum() / 1000.0, 4, options.max_vehicles))
+    sources = [edge for edge in road.source_edges() if _drivable(road, edge)] or edges
+    capacity = np.array([road.edges[edge].speed_mps * car_lanes(road, edge) for edge in sources])
     inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
-    starts = [(edges[k], 0.0, True) for k in rng.choice(len(edges), present, p=lane_m / lane_m.sum())]
+    starts = [
+        (edges[k], 0.0, True)
+        for k in rng.choice(len(edges), present, p=lane_lengths_m / lane_lengths_m.sum())
+    ]
     entries = rng.choice(len(sources), inflow, p=capacity / capacity.sum())
     departs = np.sort(rng.uniform(0.0, duration_s, size=inflow)).tolist()
     starts += [(sources[k], depart, False) for k, depart in zip(entries, departs, strict=True)]
@@ -143,9 +155,10 @@ def _trip(
     options: SceneOptions,
     rng: np.random.Generator,
 ) -> Trip | None:
-    heavy = rng.random() < options.trucks_share
-    type_id = ("truck" if rng.random() < 0.6 else "bus") if heavy else f"car{rng.integers(_DRIVER_TYPES)}"
-    vclass = "passenger" if not heavy else type_id
+    """Return a trip with a random vehicle type and route; None if the route would be a single edge."""
+    is_heavy = rng.random() < options.trucks_share
+    type_id = ("truck" if rng.random() < 0.6 else "bus") if is_heavy else f"car{rng.integers(_DRIVER_TYPES)}"
+    vclass = "passenger" if not is_heavy else type_id
     route = road.random_route(start, _MIN_ROUTE_M + rng.exponential(600.0), rng, vclass=vclass)
     if len(route) < 2:
         return None
@@ -153,54 +166,58 @@ def _trip(
 
 
 def _drivable(road: RoadMap, edge_id: str) -> bool:
+    """Return whether cars may drive on an edge outside junctions."""
     return not road.edges[edge_id].is_internal and car_lanes(road, edge_id) > 0
 
 
 def car_lanes(road: RoadMap, edge_id: str) -> int:
-    """Return how many lanes of an edge cars may use, sidewalks and lanes for bicycles or buses left aside."""
+    """Return how many lanes of an edge are open to cars; sidewalks and lanes for bicycles or buses are not."""
     return sum(road.lanes[lane].permits("passenger") for lane in road.edges[edge_id].lane_ids)
 
 
 def person_types() -> Iterator[dict[str, str]]:
-    """Yield vType attributes of people who walk at different paces."""
-    for number, pace in enumerate(_PACES_MPS):
-        yield {"id": f"walker{number}", "vClass": "pedestrian", "maxSpeed": f"{pace:g}", "speedDev": "0"}
+    """Yield vType attributes of people who walk at different speeds."""
+    for number, speed_mps in enumerate(_WALKING_SPEEDS_MPS):
+        yield {"id": f"walker{number}", "vClass": "pedestrian", "maxSpeed": f"{speed_mps:g}", "speedDev": "0"}
 
 
 def walks(
     net: Path, per_km: float, duration_s: float, rng: np.random.Generator
 ) -> list[tuple[float, Element]]:
-    """Return (departure in s, person) of people on random trips, *per_km* at once on each km of sidewalk.
+    """Return (departure in s, person) of pedestrians on random trips, *per_km* present on each km of sidewalk.
 
     Raises:
-        NetError: the net has no sidewalks that hang together.
+        NetError: the net has no connected sidewalks.
     """
-    ways = read_footways(net)
-    if not ways.edges:
+    footways = read_footways(net)
+    if not footways.edges:
         remedy = "convert it with --crossings guess, or set scene.pedestrians_per_km=0"
         raise NetError(net, "has no sidewalks with crossings for people on foot", remedy)
-    present = max(round(per_km * ways.length_m.sum() / 1000.0), 1)
+    present = max(round(per_km * footways.length_m.sum() / 1000.0), 1)
     inflow = round(present * duration_s / _MEAN_WALK_S)
     departs = np.concatenate((np.zeros(present), np.sort(rng.uniform(0.0, duration_s, inflow))))
-    starts = rng.choice(len(ways.edges), len(departs), p=ways.length_m / ways.length_m.sum())
+    starts = rng.choice(len(footways.edges), len(departs), p=footways.length_m / footways.length_m.sum())
     return [
-        (depart, _person(number, depart, ways, int(start), rng))
+        (depart, _person(number, depart, footways, int(start), rng))
         for number, (depart, start) in enumerate(zip(departs.tolist(), starts, strict=True))
     ]
 
 
-def _person(number: int, depart_s: float, ways: Footways, start: int, rng: np.random.Generator) -> Element:
-    gap = np.linalg.norm(ways.middle_m - ways.middle_m[start], axis=-1)
-    others = np.flatnonzero((ways.part == ways.part[start]) & (np.arange(len(gap)) != start))
-    near = others[gap[others] <= _WALK_REACH_M]
-    target = int(rng.choice(near)) if len(near) else int(others[gap[others].argmin()])
-    place = rng.uniform(0.0, ways.length_m[start])
+def _person(
+    number: int, depart_s: float, footways: Footways, start: int, rng: np.random.Generator
+) -> Element:
+    """Return a pedestrian who walks from sidewalk *start* to a random other one that is connected and near."""
+    distance = np.linalg.norm(footways.middle_m - footways.middle_m[start], axis=-1)
+    connected = np.flatnonzero((footways.part == footways.part[start]) & (np.arange(len(distance)) != start))
+    near_ends = connected[distance[connected] <= _MAX_WALK_M]
+    end = int(rng.choice(near_ends)) if len(near_ends) else int(connected[distance[connected].argmin()])
+    start_s_m = rng.uniform(0.0, footways.length_m[start])
     person = Element(
         "person",
         id=str(number),
-        type=f"walker{rng.integers(len(_PACES_MPS))}",
+        type=f"walker{rng.integers(len(_WALKING_SPEEDS_MPS))}",
         depart=f"{depart_s:.1f}",
-        departPos=f"{place:.1f}",
+        departPos=f"{start_s_m:.1f}",
     )
-    SubElement(person, "personTrip", {"from": ways.edges[start], "to": ways.edges[target]})
+    SubElement(person, "personTrip", {"from": footways.edges[start], "to": footways.edges[end]})
     return person

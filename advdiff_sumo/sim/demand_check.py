@@ -1,4 +1,4 @@
-"""What demand files hold: when the first vehicle departs, and whether they belong to the net."""
+"""Check demand files: when their first vehicle departs, and whether they belong to the net."""
 
 from __future__ import annotations
 
@@ -12,15 +12,24 @@ from advdiff_sumo.core.errors import FileError, SceneError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_xml import elements, seconds
 
-_ROUTES_LOOKED_AT = 500
+_MAX_ROUTES = 500  # so many routes of a file are checked, and more until the first departure is known
 _VEHICLES, _FLOWS = {"vehicle", "trip", "flow"}, {"flow", "personFlow", "containerFlow"}
-_DEPARTING = _VEHICLES | _FLOWS | {"person", "container"}
-_ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}
+_DEPARTING = _VEHICLES | _FLOWS | {"person", "container"}  # tags of elements that depart
+_ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}  # tags of elements that name edges
 
 
 @dataclass
 class _FileDemand:
-    """What one file holds, as far as it was looked at."""
+    """What one file contains, as far as it was read.
+
+    Attributes:
+        path: of the file.
+        vehicles: number of vehicles, trips and flows.
+        routes: number of routes.
+        foreign: number of routes with an edge that the net does not have.
+        example: such an edge.
+        first_s: first departure; infinity if none was found.
+    """
 
     path: Path
     vehicles: int = 0
@@ -30,37 +39,38 @@ class _FileDemand:
     first_s: float = math.inf
 
     @property
-    def enough(self) -> bool:
-        """Whether the rest need not be looked at: SUMO wants departures in their order."""
-        return self.routes >= _ROUTES_LOOKED_AT and math.isfinite(self.first_s)
+    def is_enough(self) -> bool:
+        """Whether the rest need not be read: SUMO requires departures in order of time."""
+        return self.routes >= _MAX_ROUTES and math.isfinite(self.first_s)
 
 
 def first_departure_s(asked: Path, files: Sequence[Path], road: RoadMap, begin_s: float = 0.0) -> float:
-    """Check *files* together, since one may use types and routes of another, and return when the traffic begins.
+    """Check *files* together, since they may use each other's types and routes, and return when traffic begins.
 
     Args:
-        asked: what the user gave, for a message on all of them.
-        files: route files, and additional files that may hold types, routes and vehicles, too.
-        road: the net that they will run on.
-        begin_s: when the simulation begins by their configuration; nobody departs before.
+        asked: the path that the user gave, for messages on all files.
+        files: route files, and additional files, which may also contain types, routes and vehicles.
+        road: the net on which they will run.
+        begin_s: when the simulation begins by its configuration; no vehicle departs before.
 
     Raises:
-        FileError: a file cannot be read, or none holds a vehicle that departs.
-        SceneError: the routes of a file are of another net.
+        FileError: a file cannot be read, or none contains a vehicle that departs.
+        SceneError: the routes of a file belong to another net.
     """
-    demands = [_look(path, road, begin_s) for path in files]
-    for one in demands:
-        if one.foreign > one.routes // 2:
+    demands = [_check_file(path, road, begin_s) for path in files]
+    for demand in demands:
+        if demand.foreign > demand.routes // 2:
             raise SceneError(
-                f"{one.path}: {one.foreign} of its first {one.routes} routes use edges that {road.path.name} does not "
-                f"have (such as '{one.example}'); it is the demand of another net, give that net or other demand"
+                f"{demand.path}: {demand.foreign} of its first {demand.routes} routes use edges that "
+                f"{road.path.name} does not have (such as '{demand.example}'); it is the demand of another net, "
+                "give that net or other demand"
             )
-    if not any(one.vehicles for one in demands):
+    if not any(demand.vehicles for demand in demands):
         problem = "holds no vehicle, trip or flow with a route"
         raise FileError(asked, problem, "give demand made for the net")
-    first = min(one.first_s for one in demands)
-    if math.isfinite(first):
-        return float(math.floor(first))
+    first_s = min(demand.first_s for demand in demands)
+    if math.isfinite(first_s):
+        return float(math.floor(first_s))
     if begin_s > 0.0:
         problem = f"begins at {begin_s:g} s, after the last departure of its demand"
         raise FileError(asked, problem, "correct its <begin>, or give later demand")
@@ -68,7 +78,7 @@ def first_departure_s(asked: Path, files: Sequence[Path], road: RoadMap, begin_s
 
 
 def file_that_names(ids: Iterable[str], files: Iterable[Path]) -> Path | None:
-    """Return the first of *files* in which somebody of *ids* departs; None where nobody does."""
+    """Return the first of *files* with a departing element whose id is among *ids*; None if there is none."""
     wanted = set(ids)
     for path in files:
         if any(element.tag in _DEPARTING and element.get("id") in wanted for element in elements(path)):
@@ -76,31 +86,35 @@ def file_that_names(ids: Iterable[str], files: Iterable[Path]) -> Path | None:
     return None
 
 
-def _look(path: Path, road: RoadMap, begin_s: float) -> _FileDemand:
+def _check_file(path: Path, road: RoadMap, begin_s: float) -> _FileDemand:
+    """Read *path* as far as necessary and return what it contains."""
     demand = _FileDemand(path)
     for element in elements(path):
         if element.tag in _DEPARTING:
             demand.vehicles += element.tag in _VEHICLES
-            demand.first_s = min(demand.first_s, _first_s(element, begin_s))
+            demand.first_s = min(demand.first_s, _element_departure_s(element, begin_s))
         if element.tag in _ROUTED:
-            _hold_against(road, element, demand)
-        if demand.enough:
+            _check_route(road, element, demand)
+        if demand.is_enough:
             break
     return demand
 
 
-def _first_s(element: Element, begin_s: float) -> float:
-    """Return when it first departs at *begin_s* or later; infinity where it never does, or waits for somebody."""
+def _element_departure_s(element: Element, begin_s: float) -> float:
+    """Return when *element* first departs, at *begin_s* or later.
+
+    Return infinity if it never does, or if its departure depends on another vehicle.
+    """
     if element.tag not in _FLOWS:
         depart = seconds(element.get("depart", "0"))
         return math.inf if depart is None or depart < begin_s else depart
     begin, end = seconds(element.get("begin", "0")), seconds(element.get("end", "inf"))
-    over = end is not None and end < begin_s
-    return math.inf if begin is None or over else max(begin, begin_s)
+    has_ended = end is not None and end < begin_s
+    return math.inf if begin is None or has_ended else max(begin, begin_s)
 
 
-def _hold_against(road: RoadMap, element: Element, demand: _FileDemand) -> None:
-    """Count the route of *element*, and whether it uses edges that *road* does not have."""
+def _check_route(road: RoadMap, element: Element, demand: _FileDemand) -> None:
+    """Count the route of *element* in *demand*, also as foreign if *road* lacks one of its edges."""
     edges = (element.get("edges") or f"{element.get('from') or ''} {element.get('to') or ''}").split()
     if not edges:
         return

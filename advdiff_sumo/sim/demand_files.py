@@ -1,4 +1,4 @@
-"""Demand that the user brings: a route file, or a SUMO configuration that names several."""
+"""Find the demand files that a user gives: one route file, or those that a SUMO configuration names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_check import first_departure_s
 from advdiff_sumo.sim.demand_xml import check_whole, elements, seconds
 
-_WRITES_OUTPUT = {
+_OUTPUT_TAGS = {
     "e1Detector",
     "inductionLoop",
     "e2Detector",
@@ -18,18 +18,19 @@ _WRITES_OUTPUT = {
     "e3Detector",
     "entryExitDetector",
 }
-_WRITES_OUTPUT |= {"instantInductionLoop", "edgeData", "laneData", "routeProbe", "timedEvent"}
+_OUTPUT_TAGS |= {"instantInductionLoop", "edgeData", "laneData", "routeProbe", "timedEvent"}
+"""Elements that make SUMO write files."""
 
 
 @dataclass(frozen=True)
 class DemandFiles:
-    """Files that SUMO reads to make traffic.
+    """Files from which SUMO makes traffic.
 
     Attributes:
         routes: route files.
         additional: vehicle types, signals and stops that they need.
         begin_s: when the simulation begins: the whole second of the first departure.
-        ignored: additional files that hold nothing but detectors and outputs, which SUMO is not given.
+        ignored: additional files with detectors and outputs only, which SUMO does not get.
     """
 
     routes: tuple[Path, ...]
@@ -39,13 +40,13 @@ class DemandFiles:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All that SUMO is given, route files first."""
+        """All files that SUMO gets, route files first."""
         return (*self.routes, *self.additional)
 
 
 @dataclass(frozen=True)
-class _Named:
-    """What a configuration names, and when it lets the simulation begin."""
+class _NamedFiles:
+    """The files that a configuration names, and when the simulation begins by it."""
 
     routes: tuple[Path, ...]
     additional: tuple[Path, ...] = ()
@@ -57,17 +58,17 @@ def read_demand(path: Path, road: RoadMap) -> DemandFiles:
 
     Args:
         path: ``.rou.xml``, ``.trips.xml`` (each gzipped or not) or ``.sumocfg``.
-        road: the net that they will run on.
+        road: the net on which they will run.
 
     Raises:
         FileError: a file is missing, truncated, or no demand.
-        SceneError: the routes are of another net.
+        SceneError: the routes belong to another net.
     """
     _must_be_file(path, "give a .rou.xml, .trips.xml or .sumocfg")
-    named = _of_configuration(path) if path.suffix == ".sumocfg" else _Named((path,))
+    named = _read_configuration(path) if path.suffix == ".sumocfg" else _NamedFiles((path,))
     for file in (*named.routes, *named.additional):
         check_whole(file)
-    kept = tuple(file for file in named.additional if not _only_output(file))
+    kept = tuple(file for file in named.additional if not _has_only_outputs(file))
     ignored = tuple(file for file in named.additional if file not in kept)
     begin = first_departure_s(path, (*kept, *named.routes), road, named.begin_s)
     return DemandFiles(
@@ -85,38 +86,41 @@ def net_of_configuration(path: Path) -> Path:
     for element in elements(path):
         if element.tag == "net-file" and element.get("value"):
             net = path.parent / element.get("value", "")
-            _must_be_file(net, _correct(path), "net")
+            _must_be_file(net, _name_remedy(path), "net")
             return net
     raise FileError(path, "names no net-file", "give the .net.xml and the demand one by one")
 
 
-def _of_configuration(path: Path) -> _Named:
+def _read_configuration(path: Path) -> _NamedFiles:
+    """Return what the SUMO configuration *path* names."""
     files: dict[str, tuple[Path, ...]] = {}
     begin = 0.0
     for element in elements(path):
         if element.tag in {"route-files", "additional-files"}:
-            names = element.get("value", "").replace(",", " ").split()
-            files[element.tag] = tuple(path.parent / name for name in names)
+            file_names = element.get("value", "").replace(",", " ").split()
+            files[element.tag] = tuple(path.parent / file for file in file_names)
         elif element.tag == "begin":
             begin = seconds(element.get("value", "")) or 0.0
     if not any(files.values()):
         raise FileError(path, "names no route-files", "give a .rou.xml or a configuration that has them")
-    for name in (name for names in files.values() for name in names):
-        _must_be_file(name, _correct(path))
-    return _Named(files.get("route-files", ()), files.get("additional-files", ()), max(begin, 0.0))
+    for file in (file for file_names in files.values() for file in file_names):
+        _must_be_file(file, _name_remedy(path))
+    return _NamedFiles(files.get("route-files", ()), files.get("additional-files", ()), max(begin, 0.0))
 
 
-def _correct(configuration: Path) -> str:
+def _name_remedy(configuration: Path) -> str:
+    """Return the remedy for a missing file that *configuration* names."""
     return f"{configuration.name} names it: put it there or correct the name"
 
 
 def _must_be_file(path: Path, remedy: str, what: str = "demand file") -> None:
+    """Raise FileError with *remedy* if *path* is not a file."""
     if not path.is_file():
         raise FileError(path, "is no file" if path.exists() else f"no such {what}", remedy)
 
 
-def _only_output(path: Path) -> bool:
-    """Return whether *path* holds detectors only, which would write files beside it."""
+def _has_only_outputs(path: Path) -> bool:
+    """Return whether *path* contains only detectors and outputs, which would write files beside it."""
     tags = {element.tag for element in elements(path)} - {
         "additional",
         "add",
@@ -124,4 +128,4 @@ def _only_output(path: Path) -> bool:
         "detEntry",
         "detExit",
     }
-    return bool(tags) and tags <= _WRITES_OUTPUT
+    return bool(tags) and tags <= _OUTPUT_TAGS

@@ -1,4 +1,4 @@
-"""Elements of demand files and SUMO configurations, gzipped or not."""
+"""Read the XML elements of demand files and SUMO configurations, gzipped or not."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 def content_of(path: Path) -> bytes:
-    """Return the content of a demand file, unpacked where it is gzipped.
+    """Return the content of a demand file, unzipped if necessary.
 
     Raises:
         FileError: it cannot be read, or its gzip data are damaged.
@@ -25,14 +25,14 @@ def content_of(path: Path) -> bytes:
 
 
 def check_whole(path: Path) -> None:
-    """Read *path* to its end, which a check of its first routes does not get to, where it is gzipped.
+    """Read *path* to its end if it is gzipped; the check of its first routes does not read all of it.
 
     Raises:
         FileError: it cannot be read, or its gzip data are damaged.
     """
     with path.open("rb") as file:
-        zipped = file.read(len(GZIP)) == GZIP
-    if zipped:
+        is_gzipped = file.read(len(GZIP)) == GZIP
+    if is_gzipped:
         for _ in _chunks(path):
             pass
 
@@ -49,10 +49,10 @@ def _chunks(path: Path) -> Iterator[bytes]:
 
 
 def elements(path: Path) -> Iterator[Element]:
-    """Yield the elements of *path* as they end, inner ones first.
+    """Yield the elements of *path* in the order of their end tags, inner elements first.
 
     Raises:
-        FileError: it cannot be read, is truncated, or no XML.
+        FileError: it cannot be read, is truncated, or is not XML.
     """
     try:
         with unpacked(path) as file:
@@ -68,7 +68,7 @@ def elements(path: Path) -> Iterator[Element]:
 
 
 def seconds(text: str) -> float | None:
-    """Return a time of SUMO, in seconds or [days:]hours:minutes:seconds; None where it tells none, as "triggered"."""
+    """Return a time of SUMO, in seconds or [days:]hours:minutes:seconds; None for words such as "triggered"."""
     parts = text.split(":")
     factors = (1.0, 60.0, 3600.0, 86_400.0)
     try:

@@ -1,4 +1,4 @@
-"""One closed-loop episode: look, plan, move, step, record."""
+"""Run one closed-loop episode and return its record."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from advdiff_sumo.sim.sumo_target import as_driven
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall-clock of one episode; kept apart from the record, which is the same on every machine.
+    """Wall-clock time of one episode; kept apart from the record, which is the same on every machine.
 
-    Plans that this process had made before count with what they took then.
+    Plans that this process had made before count with the time that they took then.
 
     Attributes:
         wall_s: whole episode, the start included.
         cpu_s: processor time of the same, SUMO's included.
         target_plans_s: each plan of a Python planner.
-        background_plans_s: each plan of the policy; none where SUMO drives everybody.
+        background_plans_s: each plan of the policy; empty if SUMO drives all background vehicles.
     """
 
     wall_s: float
@@ -44,13 +44,13 @@ class Timing:
 
 @dataclass(frozen=True)
 class Ended:
-    """How an episode ended the process that it ran in.
+    """How an episode ended the process in which it ran.
 
     Attributes:
-        steps: SUMO steps that were recorded then; negative before the first.
+        steps: SUMO steps that were recorded by then; negative before the first.
         kind: as in :class:`~advdiff_sumo.core.record.Failure`.
         message: one sentence.
-        trace: where each thread was, as far as it is known.
+        trace: where each thread was, as far as known.
     """
 
     steps: int
@@ -59,7 +59,7 @@ class Ended:
     trace: str = ""
 
     def failure(self, time_s: float) -> Failure:
-        """Return it as the failure of a record that ends at *time_s*."""
+        """Return this as the failure of a record that ends at *time_s*."""
         return Failure(self.kind, self.message, time_s, self.trace)
 
 
@@ -69,25 +69,25 @@ class Episode(EpisodeSetup):
 
     @one_thread()
     def run(self, ended: Ended | None = None) -> tuple[EpisodeRecord, Timing]:
-        """Run it on one thread; a failure of SUMO, planner or policy is part of the record, not an exception.
+        """Run the episode on one thread; failures of SUMO, planner or policy become part of the record.
 
         Args:
-            ended: how it ended before, in a process that died of it: it runs no further than it came then.
+            ended: how this episode ended an earlier process; it then runs only as far as it came there.
 
         Raises:
             InputError: an option cannot be used with this scene.
         """
-        begun, cpu_s = time.perf_counter(), time.process_time()
+        wall_started_s, cpu_started_s = time.perf_counter(), time.process_time()
         if ended is not None and ended.steps < 0:
-            return self._unstarted(ended.failure(0.0)), Timing(time.perf_counter() - begun)
+            return self._unstarted(ended.failure(0.0)), Timing(time.perf_counter() - wall_started_s)
         self.heartbeat.note(ProcessPhase.SIMULATOR)
         failure: Failure | None = None
-        with ExitStack() as opened:
+        with ExitStack() as stack:
             try:
-                loop = opened.enter_context(self.opened())
+                loop = stack.enter_context(self.opened())
             except EpisodeFailure as error:
-                at_once = Failure(error.kind, str(error), 0.0, _trace(error))
-                return self._unstarted(at_once), Timing(time.perf_counter() - begun)
+                failed_start = Failure(error.kind, str(error), 0.0, _trace(error))
+                return self._unstarted(failed_start), Timing(time.perf_counter() - wall_started_s)
             try:
                 loop.start()
                 end = loop.run(self.steps if ended is None else min(ended.steps, self.steps))
@@ -99,17 +99,19 @@ class Episode(EpisodeSetup):
                     Failure(error.kind, str(error), loop.time_s, _trace(error)),
                 )
                 if not loop.recorder.frames:
-                    return self._unstarted(failure), Timing(time.perf_counter() - begun)
+                    return self._unstarted(failure), Timing(time.perf_counter() - wall_started_s)
             record = loop.record(end, failure)
             loop.leave(record)
         self.heartbeat.note(ProcessPhase.OTHER)
-        spared = loop.background.source
-        used_s = time.process_time() - cpu_s + spared.spared_cpu_s
-        timing = Timing(time.perf_counter() - begun + spared.spared_s, *loop.planning_s(), cpu_s=used_s)
+        plan_source = loop.background.source
+        cpu_s = time.process_time() - cpu_started_s + plan_source.spared_cpu_s
+        timing = Timing(
+            time.perf_counter() - wall_started_s + plan_source.spared_s, *loop.planning_s(), cpu_s=cpu_s
+        )
         return record, timing
 
     def _unstarted(self, failure: Failure) -> EpisodeRecord:
-        """Return the record of an episode that failed before its first instant: its seed scene."""
+        """Return the record of an episode that failed before its first instant: the last states of the seed scene."""
         history = self.scene.history
         tracks = replace(history.window(history.steps - 1, history.steps), t0_s=0.0, dt_s=self.sim.step_s)
         return EpisodeRecord(
@@ -127,11 +129,11 @@ class Episode(EpisodeSetup):
 
     @contextmanager
     def opened(self) -> Iterator[Loop]:
-        """Yield the loop with SUMO running, not started yet; ``run`` on it goes on from where it stands.
+        """Yield the loop with SUMO running, but not started; repeated calls of its ``run`` continue the episode.
 
         Raises:
             InputError: an option cannot be used with this scene.
-            SimulationError: SUMO does not start, or a simulation is running in this process.
+            SimulationError: SUMO does not start, or a simulation is already running in this process.
         """
         with tempfile.TemporaryDirectory(prefix="advdiff-") as folder:
             driver = as_driven(self.target, self.road.lefthand, self.seed)
@@ -141,6 +143,6 @@ class Episode(EpisodeSetup):
 
 
 def _trace(error: EpisodeFailure) -> str:
-    """Return where the planner or policy raised; "" when the failure was found by ourselves."""
+    """Return the traceback of an error in planner or policy; "" if the package itself found the failure."""
     cause = error.__cause__
     return "".join(traceback.format_exception(cause)) if cause is not None else ""

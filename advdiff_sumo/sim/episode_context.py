@@ -1,4 +1,4 @@
-"""Logged road users that neither SUMO nor the policy can drive: parked, on foot, off the lanes, just entering."""
+"""Move road users of a log that neither SUMO nor the policy can drive: parked, on foot, off the lanes, or entering."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from advdiff_sumo.sim.background_control import Background, MovedMotion
 from advdiff_sumo.sim.seed_scene import PlacedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SimOptions
 
-_MAX_GAP_S = 1.0
+_MAX_GAP_S = 1.0  # gaps of a log that are interpolated
 
 
 class EpisodeContext:
-    """Follows the log for those agents; nobody in scenes that come from SUMO traffic."""
+    """Moves these road users as in the log; there are none in scenes from SUMO traffic."""
 
     def __init__(self, background: Background, scene: SeedScene) -> None:
         self.background, self.scene = background, scene
@@ -37,28 +37,28 @@ class EpisodeContext:
         return frozenset(name for name, free in zip(self.scene.log.ids, drivable, strict=True) if free)
 
     def history(self, sim: SimOptions) -> MovedMotion:
-        """Return everybody's motion from the log's beginning up to instant 0."""
-        first = round((-sim.history_s - self._log.t0_s) / self.step_s) + 1
-        motion = self._motion(np.arange(self._log.agents), first, round(sim.history_s / self.step_s))
+        """Return the motion of all road users from *sim*'s history up to instant 0."""
+        first_step = round((-sim.history_s - self._log.t0_s) / self.step_s) + 1
+        motion = self._motion(np.arange(self._log.agents), first_step, round(sim.history_s / self.step_s))
         self.entered.update(self._log.ids[k] for k in np.flatnonzero(motion.valid.any(axis=1)))
         return motion
 
     def motion(self, scene: Scene, steps: int) -> MovedMotion:
-        """Return what the log does in the coming *steps* with those that nobody else drives."""
+        """Return the log's motion in the coming *steps* of road users that are not driven otherwise."""
         if not isinstance(self.scene.start, PlacedTraffic):
             return MovedMotion.none(steps)
         log = self._log
-        first = round((scene.time_s - log.t0_s) / self.step_s) + 1
-        soon: BoolArray = np.asarray(log.valid[:, first : first + steps].any(axis=1))
-        picked = []
+        first_step = round((scene.time_s - log.t0_s) / self.step_s) + 1
+        appears_soon: BoolArray = np.asarray(log.valid[:, first_step : first_step + steps].any(axis=1))
+        agents = []
         for k, name in enumerate(log.ids):
-            entering = soon[k] and name not in self.entered
-            if name != scene.target_id and (name not in self._drivable or entering):
-                if soon[k] or self.world.row_of(name) is not None:
-                    picked.append(k)
-                if entering:
+            is_entering = appears_soon[k] and name not in self.entered
+            if name != scene.target_id and (name not in self._drivable or is_entering):
+                if appears_soon[k] or self.world.row_of(name) is not None:
+                    agents.append(k)
+                if is_entering:
                     self.entered.add(name)
-        return self._motion(np.asarray(picked, dtype=np.int64), first, steps)
+        return self._motion(np.asarray(agents, dtype=np.int64), first_step, steps)
 
     def rows(self) -> IntArray:
         """Return the world's rows that follow the log throughout."""
@@ -69,19 +69,20 @@ class EpisodeContext:
         return np.array([row for row in rows if row is not None], dtype=np.int64)
 
     def _motion(self, agents: IntArray, first: int, steps: int) -> MovedMotion:
+        """Return the motion of *agents* in *steps* steps of the log from step *first* on."""
         log = self._log
-        cut = slice(first, min(first + steps, log.steps))
-        valid = np.zeros((len(agents), steps), dtype=np.bool_)  # beyond the log's end everybody leaves
-        valid[:, : cut.stop - cut.start] = log.valid[agents, cut]
+        span = slice(first, min(first + steps, log.steps))
+        valid = np.zeros((len(agents), steps), dtype=np.bool_)  # all leave at the log's end
+        valid[:, : span.stop - span.start] = log.valid[agents, span]
         xy, yaw, speed = (
-            _filled(part[agents, cut], steps) for part in (log.xy_m, log.yaw_rad, log.speed_mps)
+            _extended(part[agents, span], steps) for part in (log.xy_m, log.yaw_rad, log.speed_mps)
         )
         rows = np.array([self.background.row_for(log, int(k)) for k in agents], dtype=np.int64)
         return MovedMotion(xy, yaw, speed, rows, valid)
 
 
-def _filled(part: FloatArray, steps: int) -> FloatArray:
-    """Return *part* (N, n, …) with NaN up to *steps* instants."""
-    full = np.full((part.shape[0], steps, *part.shape[2:]), np.nan)
-    full[:, : part.shape[1]] = part
-    return full
+def _extended(part: FloatArray, steps: int) -> FloatArray:
+    """Return *part* (N, n, …) extended to *steps* instants with NaN."""
+    extended = np.full((part.shape[0], steps, *part.shape[2:]), np.nan)
+    extended[:, : part.shape[1]] = part
+    return extended

@@ -1,4 +1,4 @@
-"""What an episode is made of: where it starts, who drives, how long."""
+"""Define everything that an episode is made of: scene, planner, policy, duration."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class EpisodeSetup:
         scene: where it starts.
         road: the map.
         target: what drives the tested vehicle.
-        policy: what moves the background.
+        policy: what moves the background vehicles.
         names: of target and background, for messages.
         sim: steps and radii.
         horizon_s: longest duration.
         seed: the episode's node of the seed tree.
         gui: open sumo-gui.
-        heartbeat: told of each phase and step.
-        memo: plans of the policy that this process has made before; None: each is made.
+        heartbeat: receives each phase and step.
+        memo: plans of the policy that this process has made before; None: each plan is made.
     """
 
     number: int
@@ -48,7 +48,7 @@ class EpisodeSetup:
 
     @property
     def steps(self) -> int:
-        """SUMO steps that it lasts at most."""
+        """Largest number of SUMO steps."""
         longest = self.horizon_s
         if not isinstance(self.scene.start, SavedTraffic) or moves_everywhere(self.policy):
             longest = min(longest, self.scene.horizon_s)

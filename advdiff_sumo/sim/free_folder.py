@@ -1,4 +1,4 @@
-"""Names for folders of results that nobody named."""
+"""Choose names for result folders that the user did not name."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import re
 from pathlib import Path
 
 RUNS = Path("runs")
-_LONGEST = 60
+_MAX_CHARACTERS = 60  # of a word in a folder's name
 
 
 def run_words(net: str, target: str, background: str, seed: int) -> tuple[str, ...]:
-    """Return the words that a run's folder is named after."""
+    """Return the words after which a run's folder is named."""
     return Path(net).name.split(".net.xml")[0], target, background, f"s{seed}"
 
 
 def free_folder(*words: str) -> Path:
-    """Return a path in ``RUNS`` that is named after *words* and does not exist."""
+    """Return a path in ``RUNS`` that is named after *words* and does not exist yet."""
     path, number = named_folder(*words), 2
     name = path.name
     while path.exists():
@@ -24,5 +24,5 @@ def free_folder(*words: str) -> Path:
 
 
 def named_folder(*words: str) -> Path:
-    """Return a path in ``RUNS`` that is named after *words*."""
-    return RUNS / "-".join(re.sub(r"[^\w.-]+", "-", word)[:_LONGEST].strip("-") for word in words)
+    """Return the path in ``RUNS`` that is named after *words*."""
+    return RUNS / "-".join(re.sub(r"[^\w.-]+", "-", word)[:_MAX_CHARACTERS].strip("-") for word in words)

@@ -1,4 +1,4 @@
-"""Where an episode stands, in memory that outlives the process in which it runs."""
+"""Write the progress of an episode into memory that outlives the process in which it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 _LAYOUT = struct.Struct("<qqqd")
 _SIZE = _LAYOUT.size + 4  # with its checksum
 NOT_STARTED = -1
-"""Steps of an episode whose start is not over."""
+"""Number of steps of an episode that is still starting."""
 
 
 class ProcessPhase(IntEnum):
@@ -32,7 +32,7 @@ class ProcessPhase(IntEnum):
 
 @dataclass(frozen=True)
 class Beat:
-    """What was written last.
+    """The last note of a process.
 
     Attributes:
         pid: process number of the worker.
@@ -48,7 +48,7 @@ class Beat:
 
 
 class Heartbeat:
-    """Notes each phase and step of an episode; a microsecond a note.
+    """Notes each phase and step of an episode; a note takes a microsecond.
 
     Attributes:
         phase: the present one.
@@ -56,7 +56,7 @@ class Heartbeat:
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        """Write to *path*, which another process may read at any time; None: for this process alone."""
+        """Write to *path*, which another process may read at any time; None: only keep the notes in this object."""
         self.phase, self.steps = ProcessPhase.OTHER, NOT_STARTED
         self._pid = os.getpid()
         self._memory: mmap.mmap | bytearray = bytearray(_SIZE)
@@ -67,14 +67,14 @@ class Heartbeat:
         self.note(ProcessPhase.OTHER)
 
     def note(self, phase: ProcessPhase, steps: int | None = None) -> None:
-        """Write down that *phase* begins now, after *steps* steps where they have changed."""
+        """Note that *phase* begins now, and the number of recorded *steps* if it has changed."""
         self.phase = phase
         self.steps = self.steps if steps is None else steps
         self._memory[:] = _sealed(_LAYOUT.pack(self._pid, phase, self.steps, time.monotonic()))
 
     @contextmanager
     def during(self, phase: ProcessPhase) -> Iterator[None]:
-        """Be in *phase* for a block."""
+        """Note *phase* while the block runs, and the phase before after it."""
         before = self.phase
         self.note(phase)
         try:
@@ -84,10 +84,10 @@ class Heartbeat:
 
     @staticmethod
     def read(path: Path) -> Beat | None:
-        """Return what the process that writes to *path* noted last.
+        """Return the last note of the process that writes to *path*.
 
-        None where it has written nothing, or is halfway through a note just now: memory that two processes share can
-        be read between two of its bytes, and a beat of old and new ones would look long overdue.
+        Return None if it has written none, or is writing one at the moment. Shared memory can be read between two bytes of
+        a note, and a mixture of an old and a new note would look long overdue.
         """
         try:
             content = path.read_bytes()
@@ -101,5 +101,5 @@ class Heartbeat:
 
 
 def _sealed(beat: bytes) -> bytes:
-    """Return the packed *beat* and the checksum by which a reader tells that it is whole."""
+    """Return the packed *beat* with a checksum by which a reader recognises a complete note."""
     return beat + zlib.crc32(beat).to_bytes(4, "little")

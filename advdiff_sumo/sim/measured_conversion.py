@@ -1,4 +1,4 @@
-"""Convert an HD map, measure how exact the net is, drive over it: the whole of the verb ``convert`` for one map."""
+"""Convert an HD map, measure how exact the net is, and drive over it: all that ``convert`` does for one map."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from advdiff_sumo.sim.source_maps import read_source
 
 
 class ConvertOptions(Options):
-    """What the command line calls by the same names, ``tls`` for ``--tls``.
+    """Options of the conversion; the command has the same names, such as ``--tls`` for ``tls``.
 
     Attributes:
-        lefthand: side of the road; None: by the map's name.
+        lefthand: whether traffic keeps left; None: decided by the map's name.
         tls: "map": signals only where the map has them; "guess": also at large junctions.
         tls_cycle: fixed signal times for so many vehicles an hour; 0: actuated.
-        crossings: "map": those of the map; "guess": guessed ones where it has none; "none".
+        crossings: "map": those of the map; "guess": guessed ones if it has none; "none".
         opendrive: write NAME.xodr too.
         close_rim: lead traffic back from where the map ends to where it begins.
-        osm: OpenStreetMap extract whose streets lead on where the map ends.
+        osm: OpenStreetMap extract whose streets continue those that end at the map's rim.
         dataroot: nuScenes data set whose logged poses are compared with the net.
-        report: write the page NAME.fidelity.html; without it, one of an earlier net goes.
-        drive: driving test of an hour in which so many vehicles set out; 0: none.
+        report: write the page NAME.fidelity.html; without it, the page of an earlier net is deleted.
+        drive: driving test of an hour in which so many vehicles depart; 0: none.
         drive_at_once: driving test of an hour with so many vehicles at any time; 0: none.
         seed: of the driving tests.
     """
@@ -55,11 +55,11 @@ class ConvertOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredConversion:
-    """A net made of an HD map, and how exact it is.
+    """A net made from an HD map, and how exact it is.
 
     Attributes:
         result: what the conversion made.
-        figures: what NAME.fidelity.json holds.
+        figures: content of NAME.fidelity.json.
     """
 
     result: ConversionResult
@@ -72,21 +72,21 @@ class MeasuredConversion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One sentence for each thing that was left out or mended and that a user should know."""
+        """One sentence for each thing that was left out or repaired and that a user should know."""
         return self.result.source.warnings
 
 
 def convert_and_measure(map_file: Path, net: str | Path, options: ConvertOptions) -> MeasuredConversion:
-    """Convert *map_file* to *net*, write NAME.fidelity.json beside it, and what else *options* ask for.
+    """Convert *map_file* to *net*, write NAME.fidelity.json beside it, and whatever else *options* request.
 
     Args:
-        map_file: of any kind that the verb takes.
-        net: NAME.net.xml; NAME and NAME.xml mean the same; of a folder, or FOLDER/, the net in it that is called like
+        map_file: of any kind that the command accepts.
+        net: NAME.net.xml; NAME and NAME.xml mean the same; for a folder, or FOLDER/, the net in it is named after
             the map.
-        options: what else is asked for.
+        options: of the conversion and the measurements.
 
     Raises:
-        InputError: one of its kinds; a sentence that names the culprit.
+        InputError: one of its kinds; the message names the culprit.
         SimulationError: SUMO stopped in a driving test.
     """
     net = _net_path(net, map_file)
@@ -101,34 +101,38 @@ def convert_and_measure(map_file: Path, net: str | Path, options: ConvertOptions
         crossings=options.crossings,
         cycle_for=options.tls_cycle,
     )
-    figures = _measured(result, options.dataroot)
-    write_figures(figures, fidelity_path(net))  # kept where the driving test finds no trip
-    figures |= _driven(net, options)
+    figures = _accuracy(result, options.dataroot)
+    write_figures(figures, fidelity_path(net))  # these remain if the driving test fails
+    figures |= _driving_tests(net, options)
     write_figures(figures, fidelity_path(net))
     page = fidelity_path(net, "html")
     if options.report:
         write_page(result, figures, page)
     else:
-        page.unlink(missing_ok=True)  # of another conversion
+        page.unlink(missing_ok=True)  # of an earlier conversion
     return MeasuredConversion(result, figures)
 
 
-def _net_path(asked: str | Path, map_file: Path) -> Path:
-    """Return *asked* with the ending that SUMO nets have; ConfigError: it has that of other files."""
-    output = Path(asked)
-    if output.is_dir() or str(asked).endswith(("/", os.sep)):
+def _net_path(requested: str | Path, map_file: Path) -> Path:
+    """Return *requested* with the ending of SUMO nets.
+
+    Raises:
+        ConfigError: it has the ending of other files.
+    """
+    output = Path(requested)
+    if output.is_dir() or str(requested).endswith(("/", os.sep)):
         return output / f"{map_name(map_file)}.net.xml"
     if output.name.endswith(".net.xml"):
         return output
-    if output.suffix != ".xml" and output.suffix[1:].isalpha():  # a version's number may end a name
+    if output.suffix != ".xml" and output.suffix[1:].isalpha():  # a name may end in a version number
         raise ConfigError(
             f"{output}: a net is NAME.net.xml; give that, or NAME alone, in place of {output.suffix}"
         )
     return output.with_name(output.name.removesuffix(".xml") + ".net.xml")
 
 
-def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:
-    """Return how exact the net is, also by the poses that are logged in *dataroot*."""
+def _accuracy(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]:
+    """Return figures on how exact the net is; with *dataroot*, also by the poses logged there."""
     figures: dict[str, Any] = measure(result).as_dict()
     if dataroot is not None:
         poses = ego_poses(dataroot, result.source.location)
@@ -138,8 +142,8 @@ def _measured(result: ConversionResult, dataroot: Path | None) -> dict[str, Any]
     return figures
 
 
-def _driven(net: Path, options: ConvertOptions) -> dict[str, Any]:
-    """Return what came of the driving tests that are asked for with a number of vehicles."""
+def _driving_tests(net: Path, options: ConvertOptions) -> dict[str, Any]:
+    """Return the results of the driving tests for which *options* give a number of vehicles."""
     if not (options.drive or options.drive_at_once):
         return {}
     from advdiff_sumo.sim.driving_test import driving_test  # late: SUMO is slow to import

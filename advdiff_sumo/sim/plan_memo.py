@@ -1,8 +1,8 @@
-"""Plans of a background that this process has made before.
+"""Reuse plans of a background policy that this process has made before.
 
 A policy keeps nothing between calls: its plan follows from the scenes of the episode so far and its random numbers.
-So episodes of one seed scene against a planner and the same planner with a defect have the same plans until the
-defect shows, and the second takes them from here.
+Episodes of one seed scene with a planner, and with the same planner and a defect, therefore have the same plans until
+the defect has an effect. The second episode reuses them.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 
-_MOST = 50_000  # of some 0.5 kB each: 24 episodes of 60 plans for 30 vehicles
+_MAX_FUTURES = 50_000  # of some 0.5 kB each: 24 episodes of 60 plans for 30 vehicles
 
 
 @dataclass(frozen=True)
 class MadePlan:
-    """A plan with all that its making changed.
+    """A plan and all that was changed by making it.
 
     Attributes:
         plan: as the policy returned it.
         memory: of the policy afterwards.
-        random: state of the policy's random numbers afterwards.
-        wall_s: wall-clock that it took.
+        random: state of the policy's random generator afterwards.
+        wall_s: wall-clock time that it took.
         cpu_s: processor time that it took.
     """
 
@@ -45,38 +45,38 @@ class MadePlan:
 
 
 class KeptPlans:
-    """The plans made last, by all that they follow from.
+    """The plans used last, by a digest of everything that they depend on.
 
     Args:
-        most: futures of vehicles that are kept.
+        most: largest number of vehicles' futures that are kept.
     """
 
-    def __init__(self, most: int = _MOST) -> None:
-        self._most, self._futures = most, 0
+    def __init__(self, most: int = _MAX_FUTURES) -> None:
+        self._max_futures, self._futures = most, 0
         self._made = OrderedDict[bytes, MadePlan]()
 
     def get(self, key: bytes) -> MadePlan | None:
-        """Return the plan of *key*, if it is kept."""
+        """Return the plan of *key*; None if it is not kept."""
         kept = self._made.get(key)
         if kept is not None:
             self._made.move_to_end(key)
         return kept
 
     def keep(self, key: bytes, kept: MadePlan) -> None:
-        """Keep *kept* under *key*, which is not kept, and drop what was used longest ago where there is no room."""
+        """Keep *kept* under the new *key*; if there is no room, drop the plans that were not used for longest."""
         self._made[key] = kept
         self._futures += kept.plan.tracks.agents + 1
-        while self._futures > self._most:
+        while self._futures > self._max_futures:
             self._futures -= self._made.popitem(last=False)[1].plan.tracks.agents + 1
 
 
 @dataclass(frozen=True)
 class PlanMemo:
-    """The plans of a policy with its options on a net.
+    """The kept plans of one policy with its options on one net.
 
     Attributes:
         about: net, policy, options and the state of files that they name.
-        made: by this process, with those of other policies and nets.
+        made: plans of this process, also of other policies and nets.
     """
 
     about: tuple[Any, ...]
@@ -85,14 +85,16 @@ class PlanMemo:
 
 @dataclass
 class PlanSource:
-    """What an episode's plans come from: the memo, or else the policy, which is given copies of its own.
+    """Source of an episode's plans: those made before if they are kept, else the policy.
+
+    The policy gets copies, which it may change.
 
     Attributes:
         policy: makes the plans.
         memo: of this process; None: each plan is made.
         memory: of the policy; None before the start.
-        spared_s: wall-clock that the plans took which were not made again.
-        spared_cpu_s: the same in processor time.
+        spared_s: wall-clock time that the reused plans once took.
+        spared_cpu_s: processor time that they once took.
     """
 
     policy: TrafficPolicy
@@ -105,27 +107,32 @@ class PlanSource:
     def start(self, road: RoadMap, scene: Scene, log: Tracks, rng: np.random.Generator) -> None:
         """Let the policy prepare for an episode that begins in *scene*."""
         if self.memo is not None:
-            begins = repr(self.memo.about).encode(), *_of_tracks(log), *_of_scene(scene), _of_random(rng)
-            self._key = _digest(begins)
+            key_parts = (
+                repr(self.memo.about).encode(),
+                *_tracks_bytes(log),
+                *_scene_bytes(scene),
+                _rng_bytes(rng),
+            )
+            self._key = _digest(key_parts)
         self.memory = self.policy.start(road, scene.copied(), log.copied(), rng)
 
     def plan(
         self, road: RoadMap, scene: Scene, rng: np.random.Generator, who: str
     ) -> tuple[JointPlan, float]:
-        """Return the plan for *scene*, and the wall-clock that it took when it was made.
+        """Return the plan for *scene*, and the wall-clock time that it took when it was made.
 
         Raises:
-            PlanRefusedError: the policy, *who* in the message, returned something else.
+            PlanRefusedError: the policy, called *who* in the message, returned something else.
         """
         if self.memo is not None:
-            self._key = _digest((self._key, *_of_scene(scene), _of_random(rng)))
+            self._key = _digest((self._key, *_scene_bytes(scene), _rng_bytes(rng)))
             kept = self.memo.made.get(self._key)
             if kept is not None:
-                return self._again(kept, rng)
-        given = scene.copied()
-        begun, used = time.perf_counter(), time.process_time()
-        answer: Any = self.policy.plan(road, given, self.memory, rng)
-        wall_s, cpu_s = time.perf_counter() - begun, time.process_time() - used
+                return self._reuse(kept, rng)
+        scene_copy = scene.copied()
+        started_s, cpu_started_s = time.perf_counter(), time.process_time()
+        answer: Any = self.policy.plan(road, scene_copy, self.memory, rng)
+        wall_s, cpu_s = time.perf_counter() - started_s, time.process_time() - cpu_started_s
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
             raise PlanRefusedError(f"{who} returned {type(answer).__name__}, not (JointPlan, memory)")
         plan, self.memory = answer
@@ -135,7 +142,8 @@ class PlanSource:
             )
         return plan, wall_s
 
-    def _again(self, kept: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:
+    def _reuse(self, kept: MadePlan, rng: np.random.Generator) -> tuple[JointPlan, float]:
+        """Set memory and random generator to what they were after *kept* was made, and return its plan."""
         self.memory, rng.bit_generator.state = kept.memory, dict(kept.random)
         self.spared_s += kept.wall_s
         self.spared_cpu_s += kept.cpu_s
@@ -143,23 +151,23 @@ class PlanSource:
 
 
 def _digest(parts: Iterable[bytes]) -> bytes:
-    summed = blake2b(digest_size=16)
+    digest = blake2b(digest_size=16)
     for part in parts:
-        summed.update(len(part).to_bytes(8, "little"))
-        summed.update(part)
-    return summed.digest()
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.digest()
 
 
-def _of_scene(scene: Scene) -> Iterable[bytes]:
-    yield from _of_tracks(scene.history)
+def _scene_bytes(scene: Scene) -> Iterable[bytes]:
+    yield from _tracks_bytes(scene.history)
     yield scene.movable.tobytes()
     yield repr((scene.target, scene.routes, sorted(scene.signals.items()))).encode()
 
 
-def _of_tracks(tracks: Tracks) -> Iterable[bytes]:
-    for part in (getattr(tracks, one.name) for one in fields(tracks)):
-        yield part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
+def _tracks_bytes(tracks: Tracks) -> Iterable[bytes]:
+    for value in (getattr(tracks, attribute.name) for attribute in fields(tracks)):
+        yield value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
 
 
-def _of_random(rng: np.random.Generator) -> bytes:
+def _rng_bytes(rng: np.random.Generator) -> bytes:
     return repr(rng.bit_generator.state).encode()

@@ -1,4 +1,4 @@
-"""Plans are checked before SUMO sees them: SUMO itself accepts NaN and any jump without a word."""
+"""Check plans before SUMO gets them; SUMO itself accepts NaN and any jump without a message."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from advdiff_sumo.core.plan_form import form_problem, in_float64, values_problem
 
 
 def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str, replan_every: int = 1) -> Plan:
-    """Return a planner's plan in float64; one that no vehicle could drive is refused.
+    """Return a planner's plan in float64, and refuse plans that no vehicle could drive.
 
     Args:
         plan: from the planner.
-        xy_m: (2,) where the vehicle is now.
+        xy_m: (2,) present position of the vehicle.
         model_step_s: spacing of replanning instants.
         who: name for the message.
-        replan_every: of these instants to the next plan, to which this one must last.
+        replan_every: number of these instants until the next plan, which this plan must cover.
 
     Raises:
-        PlanRefusedError: of another type or shape, NaN, a jump, or too short.
+        PlanRefusedError: wrong type or shape, NaN, a jump, or too short.
     """
     if not isinstance(plan, Controls | Trajectory):
         raise PlanRefusedError(f"{who} returned a {type(plan).__name__}, not a Trajectory or Controls")
@@ -44,24 +44,24 @@ def check_plan(plan: Plan, xy_m: FloatArray, model_step_s: float, who: str, repl
 
 
 def check_joint_form(plan: JointPlan, who: str) -> None:
-    """Refuse a policy's plan whose vehicles have no name, class or size, or whose interval is no time.
+    """Refuse a policy's plan whose vehicles lack a name, class or size, or whose time step is invalid.
 
     Args:
         plan: from the policy.
         who: name for the message.
 
     Raises:
-        PlanRefusedError: so.
+        PlanRefusedError: the plan has such a form.
     """
     _refuse(joint_form_problem(plan), who)
 
 
 def check_joint_plan(plan: JointPlan, xy_m: FloatArray, who: str) -> BoolArray:
-    """Refuse a policy's plan that holds NaN or a jump; returns (A,) whose first step is out of reach.
+    """Refuse a policy's plan with NaN or a jump; return (A,) for which vehicles the first step is out of reach.
 
     Args:
         plan: from the policy.
-        xy_m: (A, 2) where its vehicles are now; NaN for those not there yet.
+        xy_m: (A, 2) present positions of its vehicles; NaN if absent.
         who: name for the message.
 
     Raises:
@@ -72,15 +72,19 @@ def check_joint_plan(plan: JointPlan, xy_m: FloatArray, who: str) -> BoolArray:
 
 
 def _refuse(problem: str, who: str) -> None:
+    """Raise PlanRefusedError if *problem* is not ""."""
     if problem:
         raise PlanRefusedError(f"{who} planned {problem}")
 
 
 def _check_jumps(plan: Trajectory, xy_m: FloatArray, who: str) -> None:
+    """Refuse a trajectory with a jump between two positions, or an impossible speed."""
     path = np.concatenate((xy_m[None], plan.xy_m))
-    jump = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max())
-    if jump > farthest_m(plan.dt_s):
-        raise PlanRefusedError(f"{who} planned a jump of {jump:.1f} m in {plan.dt_s:g} s")
-    fastest = float(np.abs(plan.speed_mps).max())
-    if fastest > MAX_SPEED_MPS:
-        raise PlanRefusedError(f"{who} planned a speed of {fastest:.0f} m/s, beyond {MAX_SPEED_MPS:g} m/s")
+    longest_m = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).max())
+    if longest_m > farthest_m(plan.dt_s):
+        raise PlanRefusedError(f"{who} planned a jump of {longest_m:.1f} m in {plan.dt_s:g} s")
+    fastest_mps = float(np.abs(plan.speed_mps).max())
+    if fastest_mps > MAX_SPEED_MPS:
+        raise PlanRefusedError(
+            f"{who} planned a speed of {fastest_mps:.0f} m/s, beyond {MAX_SPEED_MPS:g} m/s"
+        )

@@ -1,4 +1,4 @@
-"""Calls of planners and policies: whatever goes wrong in them becomes a failure of the episode, with file and line."""
+"""Call planners and policies; any error in them becomes a failure of the episode, with file and line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PlugInGuard:
     Attributes:
         plug_in: the object.
         who: for messages, such as "target 'mine:Planner'".
-        phase: which the heartbeat is in during a call.
+        phase: phase of the heartbeat during a call.
         heartbeat: of the episode.
     """
 
@@ -37,10 +37,10 @@ class PlugInGuard:
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
     def call(self, function: Callable[[], _Result]) -> _Result:
-        """Return what *function*, which calls the plug-in, returns.
+        """Return the result of *function*, which calls the plug-in.
 
         Raises:
-            EpisodeFailure: one of its kinds; whatever the plug-in raised, its attempts to end the process included.
+            EpisodeFailure: one of its kinds, for any exception of the plug-in, attempts to end the process included.
             InputError: the plug-in cannot be used with the scene or its options.
         """
         with self.heartbeat.during(self.phase):
@@ -53,13 +53,12 @@ class PlugInGuard:
             except KeyboardInterrupt as error:
                 if hears_ctrl_c():
                     raise
-                raise self._raised(error) from error
-            except (
-                BaseException
-            ) as error:  # SystemExit, GeneratorExit and exceptions of the plug-in's own included
-                raise self._raised(error) from error
+                raise self._as_failure(error) from error
+            except BaseException as error:  # includes SystemExit, GeneratorExit and the plug-in's own types
+                raise self._as_failure(error) from error
 
-    def _raised(self, error: BaseException) -> EpisodeFailure:
+    def _as_failure(self, error: BaseException) -> EpisodeFailure:
+        """Return the failure of the episode that *error* of the plug-in causes."""
         place = raised_at(error, self.plug_in)
         if lacks_memory(error):
             return OutOfMemoryFailure(f"{self.who} ran out of memory{place}{message_of(error)}")

@@ -1,4 +1,4 @@
-"""Random trips over a net, for the driving test."""
+"""Draw random trips over a net, for the driving test."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import sumolib
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.read_net import BEYOND_TYPE, ids_beyond, read_root
 
-SHORTEST_TRIPS_M = (200.0, 100.0, 50.0)  # the first that the net has
-SHORTEST_END_M = (
-    20.0  # of edges where trips begin and end; SUMO puts cars into each other on those shorter than a car
-)
-TRIES, POOL = 2000, 400
+# Lengths that all trips should exceed; the first for which the net has trips is used.
+SHORTEST_TRIPS_M = (200.0, 100.0, 50.0)
+# Of edges where trips begin and end; SUMO inserts overlapping cars on edges shorter than a car.
+SHORTEST_END_M = 20.0
+MAX_ATTEMPTS, MAX_ROUTES = 2000, 400  # of the search for a pool of routes
 
 
 class RandomTrips:
-    """Random trips between edges, from far apart ends where there are any.
+    """Random trips between edges, long ones if the net has any.
 
     Attributes:
-        beyond: edges beyond the rim of a map; trips lead over them and do not begin or end there.
+        beyond: edges beyond the rim of a map; trips may pass them, but do not begin or end there.
     """
 
     def __init__(self, net: Path, seed: int) -> None:
         """Read *net* and find its trips.
 
         Raises:
-            NetError: there is none of some length.
+            NetError: there is no trip of sufficient length.
         """
         self._net = sumolib.net.readNet(str(net))
         self._random = random.Random(seed)  # noqa: S311 - traffic, not secrets
@@ -42,15 +42,15 @@ class RandomTrips:
 
     @property
     def lane_km(self) -> float:
-        """Length of all lanes for cars, without those in junctions, in km."""
+        """Length of all lanes for cars in km, without those in junctions."""
         lanes = [lane for edge in self._edges for lane in edge.getLanes() if lane.allows("passenger")]
         return float(sum(lane.getLength() for lane in lanes)) / 1000.0
 
     def _find_pool(self, net: Path) -> list[tuple[list[str], float]]:
-        """Return a pool of routes; a few hundred are enough for an hour."""
+        """Return routes to draw from; a few hundred are enough for an hour."""
         for shortest_m in SHORTEST_TRIPS_M:
-            routes = (self._route(shortest_m) for _ in range(TRIES))
-            pool = list(itertools.islice((route for route in routes if route is not None), POOL))
+            routes = (self._route(shortest_m) for _ in range(MAX_ATTEMPTS))
+            pool = list(itertools.islice((route for route in routes if route is not None), MAX_ROUTES))
             if pool:
                 return pool
         raise NetError(
@@ -58,13 +58,14 @@ class RandomTrips:
         )
 
     def _route(self, shortest_m: float) -> tuple[list[str], float] | None:
+        """Return edges and length in m of the shortest route between two random ends; None if it is too short."""
         if not self._ends:
             return None
         origin, target = self._random.choice(self._ends), self._random.choice(self._ends)
-        way, length = self._net.getShortestPath(origin, target, vClass="passenger")
-        if way is None or length < shortest_m:
+        edges, length_m = self._net.getShortestPath(origin, target, vClass="passenger")
+        if edges is None or length_m < shortest_m:
             return None
-        return [edge.getID() for edge in way], float(length)
+        return [edge.getID() for edge in edges], float(length_m)
 
     def draw(self) -> list[str]:
         """Return the edges of the next trip."""

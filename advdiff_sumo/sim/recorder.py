@@ -1,4 +1,4 @@
-"""Collects an episode's frames and what SUMO says about them."""
+"""Record an episode's frames and what SUMO reports about them."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Recorder:
         self.collisions: list[SumoCollision] = []
         self.plans: list[MadePlans] = []
         self.teleports = 0
-        self._running = False
+        self._is_running = False
 
     def begin(self, history: Tracks) -> None:
-        """Take the past from *history*, whose last instant is now."""
+        """Take the past from *history*, whose last instant is the present, and begin to record."""
         for k in range(history.steps - 1):
             self.model_frames.append(_frame_of(self.world, history, k))
-        self._running = True
+        self._is_running = True
 
     def add(self, frame: Frame, signals: Mapping[str, str], visible: frozenset[str] | None) -> None:
-        """Record an instant."""
+        """Record the present instant."""
         if len(self.frames) % self.sim.substeps == 0:
             self.model_frames.append(frame)
         self.frames.append(frame)
@@ -46,65 +46,69 @@ class Recorder:
             self.visible.append(visible)
 
     def add_plans(self, scene: Scene, own: Plan | None, joint: JointPlan | None) -> None:
-        """Record what target and background plan in *scene*."""
+        """Record what target and background have planned in *scene*."""
         plans = made_plans(scene, own, joint, self.sim)
         if plans is not None:
             self.plans.append(plans)
 
     def note(self, api: Any) -> None:
-        """Record what SUMO itself reports about the step that it has just done."""
-        if not self._running:
+        """Record what SUMO reports about its last step."""
+        if not self._is_running:
             return
         self.teleports += api.simulation.getStartingTeleportNumber()
-        for hit in api.simulation.getCollisions():
-            pair = self._name(hit.collider), self._name(hit.victim)
-            if hit.lane.rpartition("_")[0] not in self.world.beyond_rim:
-                self.collisions.append(SumoCollision(len(self.frames), *pair, hit.type, hit.lane))
+        for collision in api.simulation.getCollisions():
+            pair = self._name(collision.collider), self._name(collision.victim)
+            if collision.lane.rpartition("_")[0] not in self.world.beyond_rim:
+                self.collisions.append(SumoCollision(len(self.frames), *pair, collision.type, collision.lane))
 
     def _name(self, sumo_id: str) -> str:
+        """Return the record's name of the road user that SUMO calls *sumo_id*."""
         row = self.world.row_of(sumo_id)
         row = self.world.row_of(PERSON + sumo_id) if row is None else row
         return sumo_id if row is None else self.world.ids[row]
 
     def history(self, rows: IntArray, now_s: float) -> Tracks:
-        """Return the states of *rows* at the last model steps, now included."""
+        """Return the states of *rows* at the last model steps, the present included."""
         frames = self.model_frames[-self.sim.history_steps :]
-        span = self.sim.model_step_s * (len(frames) - 1)
-        return stack(self.world, frames, rows, now_s - span, self.sim.model_step_s)[0]
+        span_s = self.sim.model_step_s * (len(frames) - 1)
+        return stack(self.world, frames, rows, now_s - span_s, self.sim.model_step_s)[0]
 
     def finish(self, target: int) -> EpisodeRecord:
-        """Return the record; names, route and end are for the caller to fill in."""
+        """Return the record; the caller sets names, route and end."""
         rows = self._near(target)
-        tracks, who = stack(self.world, self.frames, rows, 0.0, self.sim.step_s)
+        tracks, controller = stack(self.world, self.frames, rows, 0.0, self.sim.step_s)
         return EpisodeRecord(
             episode=0,
             seed=0,
             scene="",
             tracks=tracks,
             target=int(np.flatnonzero(rows == target)[0]) if len(rows) else 0,
-            controller=who,
+            controller=controller,
             route=(),
             end=EndReason.HORIZON,
             visible=tuple(self.visible),
             signals=tuple(self.signals),
-            sumo_collisions=tuple(hit for hit in self.collisions if hit.step < len(self.frames)),
+            sumo_collisions=tuple(
+                collision for collision in self.collisions if collision.step < len(self.frames)
+            ),
             teleports=self.teleports,
             plans=tuple(self.plans),
         )
 
     def _near(self, target: int) -> IntArray:
-        """Return the rows that come within the record's radius of the target, the target among them."""
+        """Return the rows that come within the record's radius of the target, and the target."""
         if not self.frames:
             return np.zeros(0, dtype=np.int64)
-        near = np.zeros(len(self.world), dtype=np.bool_)
-        near[target] = True
+        is_near = np.zeros(len(self.world), dtype=np.bool_)
+        is_near[target] = True
         for frame in self.frames:
-            gap = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
-            near[: len(gap)] |= gap < self.sim.record_radius_m  # NaN compares as False
-        return np.flatnonzero(near)
+            distance = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
+            is_near[: len(distance)] |= distance < self.sim.record_radius_m  # NaN compares as False
+        return np.flatnonzero(is_near)
 
 
 def _frame_of(world: World, history: Tracks, k: int) -> Frame:
+    """Return instant *k* of *history* as a frame."""
     n = len(world)
     frame = Frame(
         np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, Controller.ABSENT)

@@ -1,4 +1,4 @@
-"""Seed scenes as bytes, so that they can be kept, checked and sent to other processes and machines."""
+"""Turn seed scenes into bytes and back, to keep them and to send them to other processes and machines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from advdiff_sumo.sim.seed_scene import PlacedTraffic, SavedTraffic, SeedScene
 
 
 def scene_to_bytes(scene: SeedScene) -> bytes:
-    """Return *scene* without its net's path; the same scene gives the same bytes."""
+    """Return *scene* as bytes, without the path of its net; the same scene gives the same bytes."""
     arrays: dict[str, Any] = {}
     meta: dict[str, Any] = {
         "name": scene.name,
@@ -43,7 +43,7 @@ def scene_to_bytes(scene: SeedScene) -> bytes:
 
 
 def scene_from_bytes(content: bytes, net: Path) -> SeedScene:
-    """Return the scene of :func:`scene_to_bytes` on the net file *net*; nothing in it is executed."""
+    """Return the scene that :func:`scene_to_bytes` made, on the net file *net*; nothing in *content* is executed."""
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         meta = json.loads(arrays["meta"].tobytes())
         return SeedScene(

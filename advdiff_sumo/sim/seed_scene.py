@@ -1,4 +1,4 @@
-"""What an episode starts from, as plain values."""
+"""Define what an episode starts from, as plain values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SavedTraffic:
     Attributes:
         state_xml: SUMO's saved state.
         time_s: SUMO's clock in it.
-        routes: contents of the demand files that go on feeding traffic.
+        routes: contents of the demand files from which SUMO continues to insert vehicles.
         additional: contents of the files with vehicle types, signals and stops that the demand needs.
     """
 
@@ -29,7 +29,7 @@ class SavedTraffic:
 
 @dataclass(frozen=True)
 class PlacedTraffic:
-    """Vehicles of a driving log, placed by their poses; nothing else is on the road.
+    """Vehicles of a driving log, placed at their logged poses; there are no others.
 
     Attributes:
         drivable: (A,) agents that SUMO may drive: on a lane of the net and along it, not parked, no pedestrian.
@@ -40,18 +40,18 @@ class PlacedTraffic:
 
 @dataclass(frozen=True)
 class SeedScene:
-    """The net, the histories and the route that an episode starts from; the clock is 0 at its first instant.
+    """The net, the histories and the route from which an episode starts; time 0 is its first instant.
 
     Attributes:
         name: unique in its source.
         net: the net file.
         seed: SUMO's seed.
         history: (A, H) states at the model step; the last instant is 0.
-        target: id of the vehicle to be replaced by the tested planner.
-        routes: id → edges from the present one on, where known.
-        log: (A', T) what everybody did from instant 0 on (natural traffic or the driving log).
+        target: id of the vehicle that the tested planner replaces.
+        routes: id → edges from the present one on, if known.
+        log: (A', T) states of all road users from instant 0 on, in natural traffic or the driving log.
         start: how SUMO is brought to instant 0.
-        horizon_s: how long the log lasts; episodes may not be longer where the log moves vehicles.
+        horizon_s: duration of the log; episodes in which the log moves vehicles may not be longer.
     """
 
     name: str

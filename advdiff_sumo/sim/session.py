@@ -1,4 +1,4 @@
-"""One SUMO simulation as a context manager; nothing starts before ``with``."""
+"""Run one SUMO simulation as a context manager; nothing starts before ``with``."""
 
 from __future__ import annotations
 
@@ -86,14 +86,14 @@ class Session:
         api: libsumo, or traci when ``gui`` is set; the same functions.
     """
 
-    _open = False
+    _is_open = False
 
     def __init__(self, options: SessionOptions) -> None:
         self.options = options
         self.api: Any = None
 
     def __enter__(self) -> Self:
-        if Session._open:
+        if Session._is_open:
             raise SimulationError(
                 "a second SUMO simulation in one process would end the first one; close that, or give each a process "
                 "(environments: gymnasium.vector.AsyncVectorEnv)"
@@ -105,12 +105,12 @@ class Session:
                 self.api.start([_binary(program) if self.options.gui else program, *self.options.arguments()])
             except Exception as error:
                 raise StartRefusedError(f"SUMO does not start: {_cause(output(), error)}") from error
-        Session._open = True
+        Session._is_open = True
         _log.debug("SUMO began: %s", " ".join(self.options.arguments()))
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        Session._open = False
+        Session._is_open = False
         with _quiet(), contextlib.suppress(Exception):
             self.api.close()
 
@@ -118,7 +118,7 @@ class Session:
         """Let SUMO do one step, or all steps up to *until_s* on its clock.
 
         Raises:
-            SimulationError: SUMO gave up.
+            SimulationError: SUMO stopped.
         """
         try:
             self.api.simulationStep(until_s)
@@ -132,39 +132,39 @@ class Session:
 
 
 def load_api(gui: bool = False) -> Any:
-    """Import libsumo (or traci) without the lines that it prints about other packages' versions.
+    """Import libsumo (or traci) without its printed notes on versions of other packages.
 
-    It reads names of files by the locale, which in "C" knows ASCII alone, while Python takes UTF-8 there (PEP 540).
+    libsumo decodes file names by the locale. In the locale "C" it accepts ASCII only, but Python uses UTF-8 (PEP 540).
     """
     if locale.setlocale(locale.LC_CTYPE) in ("C", "POSIX"):
-        with contextlib.suppress(locale.Error):  # systems without it know UTF-8 by another name
+        with contextlib.suppress(locale.Error):  # some systems have UTF-8 under another name
             locale.setlocale(locale.LC_CTYPE, "C.UTF-8")
     with contextlib.redirect_stdout(io.StringIO()):
         return importlib.import_module("traci" if gui else "libsumo")
 
 
 def _binary(name: str) -> str:
-    """Return the path of one of SUMO's programs, from its wheel."""
+    """Return the path of one of SUMO's programs in its wheel, or the bare name if it is not there."""
     path = sumo_home() / "bin" / name
     return str(path) if path.exists() else name
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[Any]:
-    """Send what SUMO writes to the terminal into a file; yields a function that returns it."""
+    """Redirect what SUMO writes to the terminal into a file; yield a function that returns the text."""
     sys.stdout.flush()
     sys.stderr.flush()
     saved = os.dup(1), os.dup(2)
     with tempfile.TemporaryFile() as sink:
 
-        def said() -> str:
+        def output() -> str:
             sink.seek(0)
             return sink.read().decode(errors="replace")
 
         try:
             os.dup2(sink.fileno(), 1)
             os.dup2(sink.fileno(), 2)
-            yield said
+            yield output
         finally:
             os.dup2(saved[0], 1)
             os.dup2(saved[1], 2)
@@ -173,6 +173,7 @@ def _quiet() -> Iterator[Any]:
 
 
 def _cause(output: str, error: BaseException) -> str:
+    """Return SUMO's first error message in *output*, or that of *error*."""
     lines = [line.removeprefix("Error:").strip() for line in output.splitlines() if line.startswith("Error:")]
     return lines[0] if lines else _one_line(error)
 

@@ -1,4 +1,4 @@
-"""Bringing SUMO to a seed scene's first instant."""
+"""Write the files and options with which SUMO starts at a seed scene's first instant."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from advdiff_sumo.sim.session import SessionOptions
 from advdiff_sumo.sim.sim_options import SimOptions
 
 TARGET_TYPE = "advdiff.target"
-_CLASS_TYPE = "advdiff.{}"
+_CLASS_TYPE = "advdiff.{}"  # vType of inserted vehicles, by the name of their class
 _SUBLANE_MODEL, _LANE_MODEL = "SL2015", "LC2013"
 
 
 @dataclass(frozen=True)
 class Preparation:
-    """Everything that SUMO needs to start in a scene.
+    """What SUMO needs to start in a scene.
 
     Attributes:
         options: for the session.
@@ -37,26 +37,26 @@ class Preparation:
 def prepare(
     scene: SeedScene, target: Target, sim: SimOptions, folder: Path, gui: bool = False
 ) -> Preparation:
-    """Write the files that start SUMO in *scene* with *target* at the wheel.
+    """Write the files with which SUMO starts in *scene*, with *target* as driver of the tested vehicle.
 
     Args:
         scene: the seed scene.
-        target: what drives its target vehicle, as :func:`~advdiff_sumo.sim.sumo_target.as_driven` has it.
+        target: what drives its target vehicle, as :func:`~advdiff_sumo.sim.sumo_target.as_driven` returns it.
         sim: steps and sublanes.
-        folder: where the files go; must live as long as the session.
+        folder: for the files; must exist as long as the session.
         gui: open sumo-gui.
 
     Raises:
-        ConfigError: the target's lane-change model does not go with the sublane setting.
+        ConfigError: the target's lane-change model does not support the sublane setting.
     """
     types = folder / "types.add.xml"
     _write_types(scene, target, sim, types)
     routes: tuple[Path, ...] = ()
-    extra: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()
     state, begin = None, -sim.history_s
     if isinstance(scene.start, SavedTraffic):
         routes = _write_all(scene.start.routes, folder, "demand{}.rou.xml")
-        extra = _write_all(scene.start.additional, folder, "extra{}.add.xml")
+        additional = _write_all(scene.start.additional, folder, "extra{}.add.xml")
         state, begin = folder / "state.xml", scene.start.time_s
         state.write_bytes(_with_target_type(scene.start.state_xml, scene.target, target))
     options = SessionOptions(
@@ -65,7 +65,7 @@ def prepare(
         step_s=sim.step_s,
         lateral_resolution_m=sim.lateral_resolution_m,
         routes=routes,
-        additional=(types, *extra),
+        additional=(types, *additional),
         load_state=state,
         begin_s=max(begin, 0.0),
         gui=gui,
@@ -81,6 +81,7 @@ def _write_all(contents: tuple[bytes, ...], folder: Path, pattern: str) -> tuple
 
 
 def _write_types(scene: SeedScene, target: Target, sim: SimOptions, path: Path) -> None:
+    """Write the vTypes of the target and of inserted vehicles of each class."""
     root = Element("additional")
     row = scene.history.index[scene.target]
     length, width = scene.history.size_m[row].tolist()
@@ -99,6 +100,7 @@ def _write_types(scene: SeedScene, target: Target, sim: SimOptions, path: Path) 
 
 
 def _driver(target: Target, sim: SimOptions) -> dict[str, str]:
+    """Return the vType attributes of the target's driver model."""
     if not isinstance(target, SumoDriver):
         return {"carFollowModel": "IDM", "speedDev": "0"}
     own = {
@@ -109,45 +111,45 @@ def _driver(target: Target, sim: SimOptions) -> dict[str, str]:
 
 
 def lane_change_model(target: SumoDriver, sim: SimOptions) -> str:
-    """Return the lane-change model for *target*; without sublanes LC2013 stands in for the default SL2015.
+    """Return the lane-change model for *target*; without sublanes, LC2013 replaces the default SL2015.
 
     Raises:
-        ConfigError: the model does not go with the sublane setting.
+        ConfigError: the model does not support the sublane setting.
     """
-    sublanes = sim.lateral_resolution_m > 0.0
-    if sublanes and target.lane_change != _SUBLANE_MODEL:
+    has_sublanes = sim.lateral_resolution_m > 0.0
+    if has_sublanes and target.lane_change != _SUBLANE_MODEL:
         raise ConfigError(
             f"lane-change model {target.lane_change} does not drive on sublanes; "
             "set sim.lateral_resolution_m = 0 or use SL2015"
         )
-    return target.lane_change if sublanes or target.lane_change != _SUBLANE_MODEL else _LANE_MODEL
+    return target.lane_change if has_sublanes or target.lane_change != _SUBLANE_MODEL else _LANE_MODEL
 
 
 def _with_target_type(state_xml: bytes, target_id: str, target: Target) -> bytes:
-    """Return a saved state in which *target_id* is of the target's type, with its desired speed."""
+    """Return a saved state in which vehicle *target_id* has the target's type and desired speed factor."""
     root = fromstring(_escaped(state_xml))  # noqa: S314 - SUMO wrote it a moment ago
     vehicle = next((v for v in root.iter("vehicle") if v.get("id") == target_id), None)
     if vehicle is None:
         raise SimulationError(f"the saved traffic holds no vehicle '{target_id}'")
     vehicle.set("type", TARGET_TYPE)
-    wanted = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
-    vehicle.set("speedFactor", f"{float(wanted):.4f}")
+    speed_factor = target.params.get("speedFactor", 1.0) if isinstance(target, SumoDriver) else 1.0
+    vehicle.set("speedFactor", f"{float(speed_factor):.4f}")
     for saved in root.iter("vehicle"):
-        _forget_advices(saved)
+        _drop_speed_advices(saved)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _escaped(state_xml: bytes) -> bytes:
-    """Return a saved state as XML: SUMO 1.28 writes ids with "<" or "&" as they are, and cannot read them back."""
+    """Return a saved state as valid XML: SUMO 1.28 does not escape "<" and "&" in ids, and cannot read them back."""
     text = re.sub(rb"&(?!(?:amp|lt|gt|quot|apos|#\d+|#x[0-9a-fA-F]+);)", b"&amp;", state_xml)
     return re.sub(rb'"[^"]*"', lambda value: value.group().replace(b"<", b"&lt;"), text)
 
 
-def _forget_advices(vehicle: Element) -> None:
-    """Leave of a saved lane-change state only its flags, the first number.
+def _drop_speed_advices(vehicle: Element) -> None:
+    """Keep only the first number of a saved lane-change state, its flags.
 
-    The speed advices that follow it were given in the step before. SUMO 1.28 writes each one's ownership in a form
-    that it cannot read back, so that the advice is heeded or not as memory happens to lie.
+    The other numbers are speed advices of the step before. SUMO 1.28 writes their owner in a form that it cannot read
+    back, so whether it follows them would depend on uninitialised memory.
     """
     state = vehicle.get("lcStateBase", "").split()
     if len(state) > 1:

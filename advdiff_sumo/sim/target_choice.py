@@ -91,7 +91,7 @@ class TargetChoice:
         return f"{lacking} (at {count} of {self.lacking.total()} looks): {advice}"
 
     def _usable(self, api: Any, world: World, frames: Sequence[Frame]) -> tuple[list[int], Lacking]:
-        """Return the rows of cars that meet all requirements; if there is none, also the requirement that failed last."""
+        """Return the rows of cars that meet all requirements, and which requirement failed last if there is none."""
         frame = frames[-1]
         cars = _cars(world, frames, self.sim)
         fast_cars = cars[frame.speed_mps[cars] >= self.scene.min_speed_mps]

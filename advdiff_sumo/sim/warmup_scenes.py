@@ -1,4 +1,4 @@
-"""Seed scenes out of natural SUMO traffic: warm up, choose a target with traffic around it, save the state."""
+"""Make seed scenes from natural SUMO traffic: warm up, choose a target, save SUMO's state."""
 
 from __future__ import annotations
 
@@ -25,14 +25,22 @@ from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.target_choice import TargetChoice, remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
-_GENERATORS, _DRAWS = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
-_UNKNOWN = "is not known"  # SUMO's words of a type, route or stop
-_PATIENCE = 40  # looks at the traffic without a usable target before giving up
+_RNG_ELEMENT, _DRAW_COUNT = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
+_UNKNOWN = "is not known"  # part of SUMO's message on an unknown type, route or stop
+_MAX_ATTEMPTS = 40  # consecutive choices without a usable target
 
 
 @dataclass(frozen=True)
 class _SceneChoice:
-    """A moment at which an episode may start."""
+    """A moment at which an episode may start.
+
+    Attributes:
+        frame: number of the recorded frame.
+        time_s: SUMO's clock.
+        target: row of the target.
+        routes: id → remaining edges of all vehicles.
+        state_xml: SUMO's saved state.
+    """
 
     frame: int
     time_s: float
@@ -43,14 +51,14 @@ class _SceneChoice:
 
 @dataclass(frozen=True)
 class NaturalTraffic:
-    """A source of seed scenes on one net.
+    """Makes seed scenes from natural traffic on one net.
 
     Attributes:
         road: the net.
-        demand: the user's, or None to generate some.
-        scene: what makes a scene usable.
+        demand: the user's; None if demand is to be generated.
+        scene: requirements of a scene.
         sim: steps and radii.
-        horizon_s: how long the log of a scene must be.
+        horizon_s: duration of a scene's log.
         seed: the source's node of the seed tree.
     """
 
@@ -62,11 +70,11 @@ class NaturalTraffic:
     seed: SeedTree
 
     def batch(self, number: int, wanted: int | None = None) -> list[SeedScene]:
-        """Return the scenes of one stretch of traffic; the same number, the same scenes.
+        """Return the scenes of stretch *number* of traffic; the same number gives the same scenes.
 
         Args:
             number: of the stretch.
-            wanted: the first so many of ``scenes_per_warmup``, without the traffic that the others take; None: all.
+            wanted: return the first so many of ``scenes_per_warmup``, and do not simulate the rest; None: all.
 
         Raises:
             SceneError: the traffic never has a usable target.
@@ -81,14 +89,14 @@ class NaturalTraffic:
                 raise SceneError(f"{self._culprit(error)}: {problem}") from error
 
     def _culprit(self, error: SimulationError) -> Path:
-        """Return the file that SUMO complains of, as far as its words tell: it names vehicles and no files."""
+        """Return the file to which SUMO's message belongs, as far as it is known: SUMO names vehicles and no files."""
         if self.demand is None:
             return self.road.path
         named = file_that_names(re.findall("'([^']*)'", str(error)), self.demand.files)
         return named or self.demand.files[0]
 
     def _remedy(self, error: SimulationError) -> str:
-        """Return what a user can do about their own demand, as the end of a sentence."""
+        """Return what users can do about their own demand, as the end of a sentence; "" for generated demand."""
         if self.demand is None:
             return ""
         if _UNKNOWN in str(error):
@@ -96,10 +104,11 @@ class NaturalTraffic:
         return "; correct the demand, or give other demand"
 
     def _generate(self, seed: SeedTree, folder: Path) -> DemandFiles:
+        """Write demand for the whole stretch, with time for all attempts to find targets."""
         duration = (
             self.scene.warmup_s
             + self.horizon_s
-            + self.scene.spacing_s * (self.scene.scenes_per_warmup + _PATIENCE)
+            + self.scene.spacing_s * (self.scene.scenes_per_warmup + _MAX_ATTEMPTS)
         )
         path = write_demand(self.road, self.scene, duration, seed.child("demand"), folder / "demand.rou.xml")
         return DemandFiles((path,), (), 0.0)
@@ -107,6 +116,7 @@ class NaturalTraffic:
     def _run(
         self, number: int, seed: SeedTree, files: DemandFiles, folder: Path, wanted: int
     ) -> list[SeedScene]:
+        """Simulate the traffic of one stretch and return its first *wanted* scenes."""
         options = SessionOptions(
             net=self.road.path,
             seed=seed.child("sumo").integer(),
@@ -117,60 +127,76 @@ class NaturalTraffic:
             begin_s=files.begin_s,
         )
         with Session(options) as session:
-            stretch = _Stretch(session, self.sim, folder, self.road.beyond_rim)
-            candidates = list(self._look(stretch, seed.child("target").generator(), wanted))
-            stretch.advance(self.horizon_s)
-        routes, extra = ([content_of(f) for f in group] for group in (files.routes, files.additional))
+            traffic = _RecordedTraffic(session, self.sim, folder, self.road.beyond_rim)
+            choices = list(self._choices(traffic, seed.child("target").generator(), wanted))
+            traffic.advance(self.horizon_s)
+        routes, extra = (
+            [content_of(choice) for choice in group] for group in (files.routes, files.additional)
+        )
         return [
             self._scene(
-                number, k, stretch, f, SavedTraffic(f.state_xml, f.time_s, tuple(routes), tuple(extra))
+                number,
+                k,
+                traffic,
+                choice,
+                SavedTraffic(choice.state_xml, choice.time_s, tuple(routes), tuple(extra)),
             )
-            for k, f in enumerate(candidates)
+            for k, choice in enumerate(choices)
         ]
 
-    def _look(self, stretch: _Stretch, rng: np.random.Generator, wanted: int) -> Iterator[_SceneChoice]:
-        stretch.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
-        stretch.advance(self.sim.history_s)
-        sought = TargetChoice(self.road, self.scene, self.sim)
-        count = tries = 0
+    def _choices(
+        self, traffic: _RecordedTraffic, rng: np.random.Generator, wanted: int
+    ) -> Iterator[_SceneChoice]:
+        """Yield *wanted* moments with a usable target, ``spacing_s`` or more apart."""
+        traffic.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
+        traffic.advance(self.sim.history_s)
+        target_choice = TargetChoice(self.road, self.scene, self.sim)
+        count = attempts = 0
         while True:
-            target = sought.choose(stretch.session.api, stretch.world, stretch.frames, rng)
+            target = target_choice.choose(traffic.session.api, traffic.world, traffic.frames, rng)
             if target is None:
-                tries += 1
-                if tries > _PATIENCE:
-                    raise SceneError(self._no_target(sought, stretch.session))
+                attempts += 1
+                if attempts > _MAX_ATTEMPTS:
+                    raise SceneError(self._no_target(target_choice, traffic.session))
             else:
-                count, tries = count + 1, 0
-                yield stretch.save(target)
+                count, attempts = count + 1, 0
+                yield traffic.save(target)
                 if count == wanted:
                     return
-            stretch.advance(self.scene.spacing_s)
+            traffic.advance(self.scene.spacing_s)
 
-    def _no_target(self, sought: TargetChoice, session: Session) -> str:
-        """Return a sentence on what no vehicle of the traffic was, and what helps."""
-        own, spent_s = self.demand is not None, session.time_s - session.options.begin_s
+    def _no_target(self, choice: TargetChoice, session: Session) -> str:
+        """Return a sentence that says which requirement no vehicle met, and what helps."""
+        is_own, spent_s = self.demand is not None, session.time_s - session.options.begin_s
         files = self.road.path if self.demand is None else ", ".join(map(str, self.demand.files))
-        return f"{files}: no vehicle {sought.wanted} in {spent_s:g} s of traffic; {sought.advice(own)}"
+        return f"{files}: no vehicle {choice.wanted} in {spent_s:g} s of traffic; {choice.advice(is_own)}"
 
     def _scene(
-        self, number: int, k: int, stretch: _Stretch, choice: _SceneChoice, start: SavedTraffic
+        self, number: int, k: int, traffic: _RecordedTraffic, choice: _SceneChoice, start: SavedTraffic
     ) -> SeedScene:
-        sub, last = self.sim.substeps, choice.frame
-        first = last - sub * (self.sim.history_steps - 1)
-        stop = last + round(self.horizon_s / self.sim.step_s) + 1
-        frames = stretch.frames
-        rows = _near(frames[last:stop], choice.target, self.sim.record_radius_m)
-        now = rows[np.flatnonzero(frames[last].present[rows[rows < len(frames[last].controller)]])]
+        """Return scene *k* of stretch *number*, which starts at *choice*, with its history and log."""
+        substeps, frame_now = self.sim.substeps, choice.frame
+        first = frame_now - substeps * (self.sim.history_steps - 1)
+        stop = frame_now + round(self.horizon_s / self.sim.step_s) + 1
+        frames = traffic.frames
+        rows = _rows_near_target(frames[frame_now:stop], choice.target, self.sim.record_radius_m)
+        rows_now = rows[
+            np.flatnonzero(frames[frame_now].present[rows[rows < len(frames[frame_now].controller)]])
+        ]
         history, _ = stack(
-            stretch.world, frames[first : last + 1 : sub], now, -self.sim.history_s, self.sim.model_step_s
+            traffic.world,
+            frames[first : frame_now + 1 : substeps],
+            rows_now,
+            -self.sim.history_s,
+            self.sim.model_step_s,
         )
-        log, _ = stack(stretch.world, frames[last:stop], rows, 0.0, self.sim.step_s)
+        log, _ = stack(traffic.world, frames[frame_now:stop], rows, 0.0, self.sim.step_s)
         return SeedScene(
             name=f"{self.road.name}-{number:03d}-{k:02d}",
             net=self.road.path,
-            seed=stretch.session.options.seed,
+            seed=traffic.session.options.seed,
             history=history,
-            target=stretch.world.ids[choice.target],
+            target=traffic.world.ids[choice.target],
             routes=choice.routes,
             log=log,
             start=start,
@@ -178,8 +204,8 @@ class NaturalTraffic:
         )
 
 
-class _Stretch:
-    """Natural traffic that is being recorded."""
+class _RecordedTraffic:
+    """Natural traffic whose states are recorded at every step."""
 
     def __init__(self, session: Session, sim: SimOptions, folder: Path, beyond_rim: Collection[str]) -> None:
         self.session, self.sim = session, sim
@@ -189,25 +215,25 @@ class _Stretch:
         self._begin_xml = self._state_xml()
 
     def skip(self, seconds: float) -> None:
-        """Let traffic run unrecorded."""
+        """Let traffic run unrecorded for *seconds*, and record the instant at the end."""
         for _ in range(round(seconds / self.sim.step_s)):
             self.session.step()
         register(self.world, self.session.api, self.session.api.vehicle.getIDList())
         self._record()
 
     def advance(self, seconds: float) -> None:
-        """Let traffic run and record it."""
+        """Let traffic run for *seconds* and record it."""
         for _ in range(round(seconds / self.sim.step_s)):
             self.session.step()
             register(self.world, self.session.api, self.session.api.simulation.getDepartedIDList())
             self._record()
 
     def save(self, target: int) -> _SceneChoice:
-        """Save SUMO's state now."""
+        """Save SUMO's present state as a possible start with *target*."""
         api = self.session.api
         state_xml = with_draws_since(self._state_xml(), self._begin_xml)
-        beyond = self.world.beyond_rim
-        routes = {name: remaining_route(api, name, beyond) for name in api.vehicle.getIDList()}
+        beyond_rim = self.world.beyond_rim
+        routes = {name: remaining_route(api, name, beyond_rim) for name in api.vehicle.getIDList()}
         return _SceneChoice(len(self.frames) - 1, self.session.time_s, target, routes, state_xml)
 
     def _state_xml(self) -> bytes:
@@ -222,30 +248,32 @@ class _Stretch:
 def with_draws_since(state_xml: bytes, begin_xml: bytes) -> bytes:
     """Return a saved state that counts the random numbers drawn since *begin_xml* was saved.
 
-    SUMO seeds its generators when a simulation begins, but counts their draws on from the one before in the same
-    process, and skips that many when it loads the state: what follows would depend on what the process did before.
+    SUMO seeds its generators when a simulation begins. Their counts of draws, however, continue from the simulation
+    before in the same process, and as many draws are skipped when the state is loaded. Uncorrected, the traffic would
+    depend on what the process simulated before.
     """
-    before = {name: int(count) for name, count in _draws(begin_xml)}
+    before = {name: int(count) for name, count in _draw_counts(begin_xml)}
 
-    def counted(attribute: re.Match[bytes]) -> bytes:
+    def since_begin(attribute: re.Match[bytes]) -> bytes:
         name, count = attribute[1], int(attribute[2])
         return b'%s="%d"' % (name, count - before.get(name, 0))
 
-    return _GENERATORS.sub(lambda element: _DRAWS.sub(counted, element[0]), state_xml, count=1)
+    return _RNG_ELEMENT.sub(lambda element: _DRAW_COUNT.sub(since_begin, element[0]), state_xml, count=1)
 
 
-def _draws(state_xml: bytes) -> list[tuple[bytes, bytes]]:
-    element = _GENERATORS.search(state_xml)
-    return [] if element is None else _DRAWS.findall(element[0])
+def _draw_counts(state_xml: bytes) -> list[tuple[bytes, bytes]]:
+    """Return (name, count) of each random generator in a saved state."""
+    element = _RNG_ELEMENT.search(state_xml)
+    return [] if element is None else _DRAW_COUNT.findall(element[0])
 
 
-def _near(frames: list[Frame], target: int, radius_m: float) -> IntArray:
-    """Return rows that come within *radius_m* of the target in any of *frames*."""
+def _rows_near_target(frames: list[Frame], target: int, radius_m: float) -> IntArray:
+    """Return rows that come within *radius_m* of the target in *frames*, of which every fifth is checked."""
     n = len(frames[-1].controller)
-    near = np.zeros(n, dtype=np.bool_)
+    is_near = np.zeros(n, dtype=np.bool_)
     for frame in frames[::5]:
         if frame.controller[target] == Controller.ABSENT:
             continue
-        gap = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
-        near[: len(gap)] |= gap < radius_m  # NaN compares as False
-    return np.flatnonzero(near)
+        distance = np.linalg.norm(frame.xy_m - frame.xy_m[target], axis=-1)
+        is_near[: len(distance)] |= distance < radius_m  # NaN compares as False
+    return np.flatnonzero(is_near)

@@ -10,7 +10,7 @@ import libsumo
 import pytest
 
 from advdiff_sumo.core.errors import NetError
-from advdiff_sumo.sim.driving_test import _contacts, _leads_to, _note_lane_changes, _Tally, driving_test
+from advdiff_sumo.sim.driving_test import _contacts, _leads_to, _Tally, _track_lane_changes, driving_test
 from advdiff_sumo.sim.random_trips import RandomTrips
 from tests.sim.nets import CROSSING, build
 
@@ -140,7 +140,7 @@ def test_a_lane_change_counts_for_one_car_length() -> None:
         ("e_1", 4.0, False),  # 6 m, its tail has come after
     ):
         on_road = {"car": row(0.0, 0.0, 90.0, lane, speed)}
-        _note_lane_changes(tally, on_road, 0.5)  # type: ignore[arg-type]
+        _track_lane_changes(tally, on_road, 0.5)  # type: ignore[arg-type]
         tally.last_lane["car"] = lane
         assert ("car" in tally.changed_m) is changing
     assert math.isclose(sum(tally.changed_m.values()), 0.0)

@@ -1,1 +1,1 @@
-"""The co-simulation; the only package that imports libsumo."""
+"""Co-simulation with SUMO; the only package that imports libsumo."""

@@ -86,8 +86,8 @@ class Heartbeat:
     def read(path: Path) -> Beat | None:
         """Return the last note of the process that writes to *path*.
 
-        Return None if it has written none, or is writing one at the moment. Shared memory can be read between two bytes of
-        a note, and a mixture of an old and a new note would look long overdue.
+        Return None if it has written none, or is writing one at the moment. Shared memory can be read between two bytes
+        of a note, and a mixture of an old and a new note would look long overdue.
         """
         try:
             content = path.read_bytes()

@@ -1,4 +1,4 @@
-"""A run: many episodes of one target, one background and one source of seed scenes, into one folder."""
+"""Define a run: episodes of one target, one background and one source of seed scenes, in one folder."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
 from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
-_Made = TypeVar("_Made")
+_Plugin = TypeVar("_Plugin")
 
 
 class RunOptions(Options):
-    """What ``advdiff-sumo run`` takes; the same names in a configuration file.
+    """Options of ``advdiff-sumo run``, with the same names in a configuration file.
 
     Attributes:
-        net: a SUMO net (``.net.xml``, ``.net.xml.gz``), the name of a shipped one, or a ``.sumocfg``, which brings its
-            demand.
+        net: a SUMO net (``.net.xml``, ``.net.xml.gz``), the name of a shipped one, or a ``.sumocfg``, which also names
+            its demand.
         target: what drives the tested vehicle.
         target_options: of that target.
-        background: what moves the others.
+        background: what moves the background vehicles.
         background_options: of that policy.
         episodes: how many.
         horizon_s: longest duration of an episode.
         seed: root of all random numbers.
         demand: route file or SUMO configuration; empty: traffic is generated.
-        scenes: root of a driving log; empty: scenes come out of SUMO traffic.
+        scenes: root of a driving log; empty: scenes come from SUMO traffic.
         sim: steps and radii.
         scene: how seed scenes are chosen.
     """
@@ -74,7 +74,7 @@ class RunOptions(Options):
     @model_validator(mode="before")
     @classmethod
     def _from_configuration(cls, values: Any) -> Any:
-        """Let a ``.sumocfg`` stand for the net and, where none is given, the demand that it names."""
+        """Replace a ``.sumocfg`` given as net by the net that it names, and use its demand if no other is given."""
         net = values.get("net") if isinstance(values, dict) else None
         if not (isinstance(net, str) and net.endswith(".sumocfg")):
             return values
@@ -86,7 +86,7 @@ class RunOptions(Options):
         }
 
     @model_validator(mode="after")
-    def _lasts_a_step(self) -> Self:
+    def _must_last_a_step(self) -> Self:
         if round(self.horizon_s / self.sim.step_s) == 0:
             raise ValueError(
                 f"horizon_s = {self.horizon_s:g} is shorter than a step; give at least sim.step_s, {self.sim.step_s:g}"
@@ -96,15 +96,15 @@ class RunOptions(Options):
 
 @dataclass(frozen=True)
 class Run:
-    """A checked run, ready to go; making it reads the net and the names, and starts nothing.
+    """A checked run; making it reads the net and imports target and policy, but starts nothing.
 
     Attributes:
         options: as given.
         road: the net.
         target: what drives the tested vehicle.
-        policy: what moves the others.
+        policy: what moves the background vehicles.
         names: of target and background, as the registries spell them.
-        gui: open sumo-gui in place of libsumo; the same loop, though traci may differ in the last digits.
+        gui: use sumo-gui instead of libsumo; the loop is the same, but traci may differ in the last digits.
     """
 
     options: RunOptions
@@ -116,10 +116,15 @@ class Run:
 
     @staticmethod
     def prepare(options: RunOptions, gui: bool = False, planner: Planner | None = None) -> Run:
-        """Check *options* and read the net; *planner*, where there is one, is what ``options.target`` names.
+        """Check *options* and read the net.
+
+        Args:
+            options: of the run.
+            gui: use sumo-gui.
+            planner: the object that ``options.target`` names; None: it is made from the options.
 
         Raises:
-            InputError: one of its kinds; a sentence that names the culprit.
+            InputError: one of its kinds; the message names the culprit.
         """
         target = target_of(options) if planner is None else planner
         policy = policy_of(options)
@@ -132,20 +137,20 @@ class Run:
 
     @cached_property
     def demand(self) -> DemandFiles | None:
-        """The user's demand, held against the net; None where traffic is generated."""
+        """The user's demand, checked against the net; None if traffic is generated."""
         return read_demand(Path(self.options.demand), self.road) if self.options.demand else None
 
     @cached_property
     def log(self) -> LogReader | None:
-        """The driving log that scenes come from, if any."""
+        """The driving log from which scenes come, if any."""
         return open_log(Path(self.options.scenes)) if self.options.scenes else None
 
     def notes(self) -> list[str]:
-        """Return sentences on what is odd in the net, and on what of the driving log and demand is left out."""
+        """Return sentences on oddities of the net, and on parts of the driving log and demand that are not used."""
         return [*net_oddities(self.road), *left_out(self.options, self.road, self.demand, self.log)]
 
     def why_no_scene(self) -> str:
-        """Return a sentence on why no episode can start, where it is known."""
+        """Return a sentence on why no episode can start, as far as known."""
         if self.log is None:
             return f"{self.road.path}: no seed scene was found"
         return f"{self.options.scenes}: the log gives no seed scene: {self._logged(self.log).why_none()}"
@@ -155,7 +160,7 @@ class Run:
         return LoggedTraffic(self.road, log, self.options.scene, self.options.sim, seed)
 
     def seed_scenes(self) -> Iterator[SeedScene]:
-        """Yield seed scenes in their order; a log's end, SUMO traffic goes on for ever.
+        """Yield seed scenes in their order; those of a log are finite, those from SUMO traffic are not.
 
         Raises:
             InputError: the demand or the log does not fit the net, or has no usable scene.
@@ -172,8 +177,8 @@ class Run:
         """Return scenes of stretch *number* of SUMO traffic, or those of the driving log.
 
         Args:
-            number: of the stretch; a log has but one.
-            wanted: the first so many of ``scene.scenes_per_warmup``, or of the log; None: all of them.
+            number: of the stretch; of no effect with a log.
+            wanted: return the first so many of ``scene.scenes_per_warmup``, or of the log; None: all.
 
         Raises:
             SceneError: the traffic never has a usable target.
@@ -202,19 +207,19 @@ class Run:
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """What ``run.toml`` holds: all that is needed to repeat the run."""
-        dumped = self.options.model_dump(mode="json")
-        dumped |= {"net": net_name(self.options.net), "target": self.names[0], "background": self.names[1]}
+        """Content of ``run.toml``: all that is needed to repeat the run."""
+        options = self.options.model_dump(mode="json")
+        options |= {"net": net_name(self.options.net), "target": self.names[0], "background": self.names[1]}
         for key in ("demand", "scenes"):
-            if dumped[key]:
-                dumped[key] = str(Path(dumped[key]).resolve())
-        return {"run": versions(), "options": dumped}
+            if options[key]:
+                options[key] = str(Path(options[key]).resolve())
+        return {"run": versions(), "options": options}
 
 
 def left_out(
     options: RunOptions, road: RoadMap, demand: DemandFiles | None, log: LogReader | None
 ) -> list[str]:
-    """Return sentences on what of the driving log and of the demand is left out.
+    """Return sentences on parts of the driving log and of the demand that are not used.
 
     Args:
         options: of the run.
@@ -230,10 +235,10 @@ def left_out(
     if log is None:
         return sentences
     logged = LoggedTraffic(road, log, options.scene, options.sim, SeedTree(options.seed))
-    standing, least = logged.standing_starts(), options.scene.min_speed_mps
+    standing, min_speed_mps = logged.standing_starts(), options.scene.min_speed_mps
     if standing:
-        where = f"its ego is slower than {least:g} m/s there"
-        sentences.append(f"{counted(standing, 'start')} of the log passed over, {where} ({options.scenes})")
+        reason = f"its ego is slower than {min_speed_mps:g} m/s there"
+        sentences.append(f"{counted(standing, 'start')} of the log passed over, {reason} ({options.scenes})")
     return sentences
 
 
@@ -244,21 +249,21 @@ def target_of(options: RunOptions) -> Target:
         InputError: there is none of that name, its options do not fit, or it cannot be made.
     """
     name = TARGETS.canonical(options.target)
-    return _made(f"target '{name}'", make_target, name, options.target_options)
+    return _make_or_explain(f"target '{name}'", make_target, name, options.target_options)
 
 
 def policy_of(options: RunOptions) -> TrafficPolicy:
     """Return the background policy that *options* name; errors as in :func:`target_of`."""
     name = POLICIES.canonical(options.background)
-    own = options.background_options
-    if name == "replay":  # its plans are the log at SUMO's own steps, until the next plan at least
+    policy_options = options.background_options
+    if name == "replay":  # it plans the log's states at SUMO's steps, at least until the next plan
         period_s = max(1.0, options.sim.model_step_s * options.sim.replan_every)
-        own = {"step_s": options.sim.step_s, "period_s": period_s, **own}
-    return _made(f"background '{name}'", make_policy, name, own)
+        policy_options = {"step_s": options.sim.step_s, "period_s": period_s, **policy_options}
+    return _make_or_explain(f"background '{name}'", make_policy, name, policy_options)
 
 
 def check_together(options: RunOptions, target: Target) -> None:
-    """Check what each option alone does not show.
+    """Check combinations of options, and that a remote target answers.
 
     Raises:
         ConfigError: two options contradict each other, or a remote target does not answer.
@@ -278,12 +283,13 @@ def check_together(options: RunOptions, target: Target) -> None:
 
 
 def _check_plan_length(options: RunOptions) -> None:
+    """Refuse intervals between plans that are longer than the plans of a built-in target."""
     sim = options.sim
     if sim.model_step_s * sim.replan_every > BUILTIN_PLAN_S + 1e-9 and plans_briefly(options.target):
-        most = max(int(BUILTIN_PLAN_S / sim.model_step_s + 1e-9), 1)
+        max_steps = max(int(BUILTIN_PLAN_S / sim.model_step_s + 1e-9), 1)
         raise ConfigError(
             f"sim.replan_every = {sim.replan_every} steps of {sim.model_step_s:g} s: target '{options.target}' plans "
-            f"{BUILTIN_PLAN_S:g} s, which ends before the next plan; set sim.replan_every to {most} at most"
+            f"{BUILTIN_PLAN_S:g} s, which ends before the next plan; set sim.replan_every to {max_steps} at most"
         )
 
 
@@ -291,7 +297,7 @@ def read_road(net: str) -> RoadMap:
     """Read a net, by path or shipped name, on which a run is possible.
 
     Raises:
-        NetError: it is missing or damaged, or no car could drive anywhere in it.
+        NetError: it is missing or damaged, or has no route for cars.
     """
     road = RoadMap.read(find_net(net))
     if not any(road.edge_graph().successors.values()):
@@ -300,29 +306,29 @@ def read_road(net: str) -> RoadMap:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that results depend on."""
+    """Return the versions on which results depend."""
     names = ("libsumo", "numpy", "shapely", "torch", "pyarrow")
-    known = {name: version(name) for name in names}
-    return {"advdiff_sumo": __version__, "revision": git_revision(), **known}
+    versions_of = {name: version(name) for name in names}
+    return {"advdiff_sumo": __version__, "revision": git_revision(), **versions_of}
 
 
-def _made(what: str, make: Callable[..., _Made], name: str, options: Mapping[str, Any]) -> _Made:
+def _make_or_explain(
+    what: str, make: Callable[..., _Plugin], name: str, options: Mapping[str, Any]
+) -> _Plugin:
+    """Return ``make(name, options)``; any unexpected error of it becomes a ConfigError."""
     try:
         return make(name, options)
     except AdvdiffError:
         raise
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # a user's own class may raise anything, also while it is imported
+    except (Exception, SystemExit) as error:  # a user's class may raise anything, also when imported
         place = raised_at(error, None)
         raise ConfigError(f"{what} cannot be made: {described(error)}{place}; correct it") from error
 
 
 def git_revision() -> str:
-    """Return the revision of the checkout that the package runs from; "" for an installed one."""
+    """Return the revision of the checkout from which the package runs; "" for an installed package."""
     package = Path(__file__).resolve().parent.parent
-    if not (package.parent / ".git").exists():  # of whatever project the environment lies in
+    if not (package.parent / ".git").exists():  # git would find that of a project around the environment
         return ""
     try:
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The tables of a run: their columns, and what one episode adds to each."""
+"""Define the tables of a run: their columns, and the rows that one episode adds."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ TABLES: Mapping[str, Mapping[str, Column]] = {
     "signals": SIGNAL_COLUMNS,
     "timing": TIMING_COLUMNS,
 }
-#: Tables that folders of earlier versions lack.
+#: Tables that are missing in folders of earlier versions.
 LATER_TABLES = frozenset(("signals",))
 
 
@@ -85,7 +85,7 @@ def episode_tables(
     collisions: list[dict[str, Any]],
     timing: Timing,
 ) -> dict[str, pa.Table]:
-    """Return what one episode adds to each of ``TABLES``."""
+    """Return the rows that one episode adds to each of ``TABLES``."""
     rows = {"episodes": [dict(episode)], "collisions": collisions, "timing": [timing_row(record, timing)]}
     tables = {name: table_of(content, TABLES[name]) for name, content in rows.items()}
     tables |= {"states": states_table(record), "plans": plans_table(record)}
@@ -93,15 +93,15 @@ def episode_tables(
 
 
 def states_table(record: EpisodeRecord) -> pa.Table:
-    """Return one row an agent and step of *record*, in the order of agents, then steps."""
-    movers = np.array([c.name.lower() for c in Controller if c >= 0], dtype=object)
+    """Return one row for each agent and step of *record*, ordered by agent, then step."""
+    controllers = np.array([c.name.lower() for c in Controller if c >= 0], dtype=object)
     columns = _state_columns(record.tracks, record.episode, record.target)
-    columns["controller"] = movers[record.controller[np.nonzero(record.tracks.valid)]]
+    columns["controller"] = controllers[record.controller[np.nonzero(record.tracks.valid)]]
     return pa.table({name: columns[name] for name in STATE_COLUMNS}, schema=schema_of(STATE_COLUMNS))
 
 
 def natural_table(record: EpisodeRecord) -> pa.Table:
-    """Return one row an agent and instant of what happens without attack, to 1 cm, 1 mrad and 1 cm/s."""
+    """Return one row for each agent and instant of the course without attack, to 1 cm, 1 mrad and 1 cm/s."""
     natural = record.natural if record.natural is not None else Tracks.empty()
     target = record.tracks.ids[record.target] if record.tracks.agents else ""
     columns = _state_columns(natural, record.episode, natural.index.get(target, -1))
@@ -132,7 +132,7 @@ def _state_columns(tracks: Tracks, episode: int, target: int) -> dict[str, Any]:
 
 
 def signals_table(record: EpisodeRecord) -> pa.Table:
-    """Return what each traffic light shows at first, and each change, in the order of time."""
+    """Return what each traffic light shows at first, and each change, in order of time."""
     rows: list[dict[str, Any]] = []
     lights: dict[str, str] = {}
     for step, states in enumerate(record.signals):
@@ -145,18 +145,18 @@ def signals_table(record: EpisodeRecord) -> pa.Table:
 
 
 def plans_table(record: EpisodeRecord) -> pa.Table:
-    """Return one row a planned position of *record*, in the order of plans, agents, times."""
-    there = [np.nonzero(np.isfinite(plans.xy_m).all(axis=-1)) for plans in record.plans]
-    counts = [len(agent) for agent, _ in there]
-    pairs = list(zip(record.plans, there, strict=True))
-    times = [plans.made_s + plans.dt_s * (step + 1) for plans, (_, step) in pairs]
-    places = [plans.xy_m[where] for plans, where in pairs]
-    xy = np.round(np.concatenate([np.zeros((0, 2)), *places]), 2) + 0.0  # no −0
+    """Return one row for each planned position of *record*, ordered by plan, agent, time."""
+    indices = [np.nonzero(np.isfinite(plans.xy_m).all(axis=-1)) for plans in record.plans]
+    counts = [len(agent) for agent, _ in indices]
+    plans_with_indices = list(zip(record.plans, indices, strict=True))
+    times = [plans.made_s + plans.dt_s * (step + 1) for plans, (_, step) in plans_with_indices]
+    positions = [plans.xy_m[index] for plans, index in plans_with_indices]
+    xy = np.round(np.concatenate([np.zeros((0, 2)), *positions]), 2) + 0.0  # no −0
     made_s = [np.full(count, plans.made_s) for plans, count in zip(record.plans, counts, strict=True)]
     columns: dict[str, Any] = {
         "episode": np.full(sum(counts), record.episode),
         "made_s": np.round(np.concatenate([np.zeros(0), *made_s]), 6),
-        "agent": [plans.ids[row] for plans, (agent, _) in pairs for row in agent.tolist()],
+        "agent": [plans.ids[row] for plans, (agent, _) in plans_with_indices for row in agent.tolist()],
         "time_s": np.round(np.concatenate([np.zeros(0), *times]), 6),
         "x_m": xy[:, 0],
         "y_m": xy[:, 1],
@@ -165,13 +165,13 @@ def plans_table(record: EpisodeRecord) -> pa.Table:
 
 
 def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:
-    """Return the row of ``timing.parquet`` of one episode."""
-    simulated = max(record.tracks.steps - 1, 0) * record.tracks.dt_s
+    """Return the row of one episode in ``timing.parquet``."""
+    simulated_s = max(record.tracks.steps - 1, 0) * record.tracks.dt_s
     return {
         "episode": record.episode,
-        "simulated_s": simulated,
+        "simulated_s": simulated_s,
         "wall_s": timing.wall_s,
-        "real_time_factor": simulated / timing.wall_s,
+        "real_time_factor": simulated_s / timing.wall_s,
         "cpu_s": timing.cpu_s,
         "target_plan_p50_s": _percentile(timing.target_plans_s, 50),
         "target_plan_p99_s": _percentile(timing.target_plans_s, 99),
@@ -180,5 +180,5 @@ def timing_row(record: EpisodeRecord, timing: Timing) -> dict[str, Any]:
     }
 
 
-def _percentile(values: tuple[float, ...], share: float) -> float | None:
-    return float(np.percentile(values, share)) if values else None
+def _percentile(values: tuple[float, ...], percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if values else None

@@ -1,4 +1,4 @@
-"""Every knob of the co-simulation, with its unit and default."""
+"""Define the options of the co-simulation and of seed scenes, with units and defaults."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from advdiff_sumo.config import Options
 
 Situation: TypeAlias = Literal["any", "following", "merging", "yielding", "turning", "red-light"]
-"""What a target can be about to do when an episode begins."""
+"""Situation of the target when an episode begins."""
 
 
 class SimOptions(Options):
-    """How SUMO and the plans are stepped.
+    """How SUMO and plans are stepped, and what is seen and recorded.
 
     Attributes:
         step_s: SUMO's step.
@@ -21,13 +21,13 @@ class SimOptions(Options):
         replan_every: model steps between two plans.
         history_s: how much of the past planners and policies see; with a driving log at least a model step.
         lateral_resolution_m: SUMO's sublane width; 0 switches the sublane model off.
-        control_radius_m: background vehicles nearer than this to the target may be moved by the policy.
+        control_radius_m: the policy may move background vehicles that are nearer to the target than this.
         release_factor: a moved vehicle is handed back beyond ``release_factor`` × ``control_radius_m``.
-        observe_radius_m: planners and policies see road users up to here, policies also who is in the way of a vehicle
-            that is moved.
-        record_radius_m: the record keeps road users that come this near to the target.
-        record_plans: the record keeps the plans of the target and of so many vehicles nearest to it; 0: none.
-        record_natural: the record keeps what happened in the seed scene without attack.
+        observe_radius_m: planners and policies see road users up to here; policies also see those that a moved vehicle
+            may come into conflict with.
+        record_radius_m: the record contains road users that come this near to the target.
+        record_plans: the record contains the plans of the target and of so many vehicles nearest to it; 0: none.
+        record_natural: the record contains what happened in the seed scene without attack.
         stop_at_collision: end the episode at the target's first collision.
     """
 
@@ -45,21 +45,21 @@ class SimOptions(Options):
     stop_at_collision: bool = True
 
     @model_validator(mode="after")
-    def _whole_steps(self) -> Self:
-        for name, span in (("model_step_s", self.model_step_s), ("history_s", self.history_s)):
-            base = self.step_s if name == "model_step_s" else self.model_step_s
-            if abs(span / base - round(span / base)) > 1e-6:
-                raise ValueError(f"{name} = {span} is no whole multiple of {base}")
+    def _must_be_whole_steps(self) -> Self:
+        for name, duration_s in (("model_step_s", self.model_step_s), ("history_s", self.history_s)):
+            step_s = self.step_s if name == "model_step_s" else self.model_step_s
+            if abs(duration_s / step_s - round(duration_s / step_s)) > 1e-6:
+                raise ValueError(f"{name} = {duration_s} is no whole multiple of {step_s}")
         return self
 
     @property
     def substeps(self) -> int:
-        """SUMO steps in a model step."""
+        """Number of SUMO steps in a model step."""
         return round(self.model_step_s / self.step_s)
 
     @property
     def history_steps(self) -> int:
-        """Instants in a history, now included."""
+        """Number of instants in a history, the present included."""
         return round(self.history_s / self.model_step_s) + 1
 
 
@@ -67,17 +67,17 @@ class SceneOptions(Options):
     """How seed scenes are found in running traffic.
 
     Attributes:
-        warmup_s: natural traffic before a scene may start.
-        density_per_km: vehicles per kilometre of lane for cars in generated demand.
-        max_vehicles: bound of generated demand, for large nets.
+        warmup_s: natural traffic before the first scene may start.
+        density_per_km: vehicles per kilometre of car lane in generated demand.
+        max_vehicles: largest number of vehicles in generated demand, for large nets.
         trucks_share: share of trucks and buses in generated demand.
-        pedestrians_per_km: people on foot per kilometre of sidewalk in generated demand; the net needs crossings.
+        pedestrians_per_km: pedestrians per kilometre of sidewalk in generated demand; the net needs crossings.
         min_neighbours: vehicles that must be within 50 m of the target at the start.
         min_route_m: route that the target must have ahead.
-        min_speed_mps: the target must move at least so fast at the start.
+        min_speed_mps: lowest speed of the target at the start.
         situation: what the target must be about to do at the start: following, merging, yielding, turning,
             red-light, or any.
-        spacing_s: natural traffic between two scenes that come from one warm-up.
+        spacing_s: natural traffic between two scenes from one warm-up.
         scenes_per_warmup: scenes taken from one stretch of natural traffic.
         stride_s: spacing of the scenes taken from one driving log.
     """

@@ -1,4 +1,4 @@
-"""Situations in which a seed scene may catch its target: following, merging, yielding, turning, before a red light."""
+"""Decide whether a vehicle is following, merging, yielding, turning, or before a red light when a scene starts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.sim.sim_options import Situation
 from advdiff_sumo.sim.world import Frame, World
 
-_FOLLOWS_S, _BESIDE_M, _JUNCTION_M = 3.5, 20.0, 60.0
+_FOLLOWING_S = 3.5  # longest headway of a follower
+_BESIDE_M = 20.0  # longest distance along the lane between vehicles beside each other
+_JUNCTION_M = 60.0  # longest distance to the next junction
 
 
 def in_situation(
@@ -27,65 +29,73 @@ def in_situation(
     """Return whether the vehicle in *row* is in *situation* in *frame*.
 
     Args:
-        situation: "following": somebody ahead in its lane, nearer than 3.5 s of its speed; "merging": somebody on a
-            lane beside it, within 20 m; "yielding": it is the next one at a junction within 60 m, and has to give
-            way there; "turning": its route turns there; "red-light": it is the next one there, and its light is red;
-            "any": always.
+        situation: "following": a vehicle is ahead in its lane, less than 3.5 s away at its own speed. "merging": a
+            vehicle is on a lane beside it, within 20 m. "yielding": it is the first before a junction within 60 m, and
+            must yield there. "turning": its route turns at that junction. "red-light": it is the first before that
+            junction, and its signal is red. "any": always.
         road: the net.
         world: names and lanes of the rows.
         frame: the states.
         row: of the vehicle.
         route: its edges from the present one on.
-        signals: what every traffic light shows.
+        signals: state of every traffic light.
     """
     if situation == "red-light":
         link = _next_link(road, world, frame, row, route)
-        return link is not None and link.signal(signals) in RED and _is_next(road, world, frame, row)
+        return link is not None and link.signal(signals) in RED and _is_first(road, world, frame, row)
     return situation == "any" or _TESTS[situation](road, world, frame, row, route)
 
 
-def _others_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: str) -> list[float]:
-    """Return how far ahead of *row* the others on *lane_id* are, in metres along it."""
+def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: str) -> list[float]:
+    """Return the distances in m, along *lane_id*, from *row* to the vehicles on that lane; negative behind it."""
     line = road.lanes[lane_id].line
-    own = float(line.project(frame.xy_m[row])[0])
-    there = [k for k in np.flatnonzero(frame.present).tolist() if k != row and world.lane[k] == lane_id]
-    return [float(line.project(frame.xy_m[k])[0]) - own for k in there]
+    own_s_m = float(line.project(frame.xy_m[row])[0])
+    others = [k for k in np.flatnonzero(frame.present).tolist() if k != row and world.lane[k] == lane_id]
+    return [float(line.project(frame.xy_m[k])[0]) - own_s_m for k in others]
 
 
 def _following(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
-    reach = max(_FOLLOWS_S * float(frame.speed_mps[row]), 10.0)
-    return any(0.0 < gap < reach for gap in _others_along(road, world, frame, row, world.lane[row]))
+    """Return whether a vehicle is ahead in the lane of *row*, within 3.5 s or 10 m."""
+    range_m = max(_FOLLOWING_S * float(frame.speed_mps[row]), 10.0)
+    return any(0.0 < gap_m < range_m for gap_m in _gaps_along(road, world, frame, row, world.lane[row]))
 
 
 def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
+    """Return whether a vehicle is on a lane beside that of *row*, within 20 m."""
     lane = road.lanes[world.lane[row]]
-    beside = [name for name in (lane.left_id, lane.right_id) if name is not None]
-    return any(abs(gap) < _BESIDE_M for n in beside for gap in _others_along(road, world, frame, row, n))
+    neighbours = [name for name in (lane.left_id, lane.right_id) if name is not None]
+    return any(
+        abs(gap_m) < _BESIDE_M
+        for neighbour in neighbours
+        for gap_m in _gaps_along(road, world, frame, row, neighbour)
+    )
 
 
 def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
+    """Return whether *row* is the first before a junction at which it must yield."""
     link = _next_link(road, world, frame, row, route)
-    return link is not None and _is_next(road, world, frame, row) and bool(road.yields_to(link))
+    return link is not None and _is_first(road, world, frame, row) and bool(road.yields_to(link))
 
 
-def _is_next(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
-    """Return whether nobody is ahead of *row* on its lane."""
-    return max(_others_along(road, world, frame, row, world.lane[row]), default=0.0) <= 0.0
+def _is_first(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
+    """Return whether no vehicle is ahead of *row* on its lane."""
+    return max(_gaps_along(road, world, frame, row, world.lane[row]), default=0.0) <= 0.0
 
 
 def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
+    """Return whether the route of *row* turns left or right at the next junction."""
     link = _next_link(road, world, frame, row, route)
     return link is not None and link.direction.lower() in ("l", "r")
 
 
 def _next_link(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> Link | None:
-    """Return the link of the route's next junction where that is near; None otherwise."""
+    """Return the link of the route over the next junction; None if that is not near."""
     lane = road.lanes[world.lane[row]]
-    left_m = lane.length_m - float(lane.line.project(frame.xy_m[row])[0])
-    if left_m > _JUNCTION_M or len(route) < 2:
+    remaining_m = lane.length_m - float(lane.line.project(frame.xy_m[row])[0])
+    if remaining_m > _JUNCTION_M or len(route) < 2:
         return None
-    onward = (link for link in lane.successors if road.lanes[link.to_lane].edge_id == route[1])
-    return next(onward, None)
+    links = (link for link in lane.successors if road.lanes[link.to_lane].edge_id == route[1])
+    return next(links, None)
 
 
 _TESTS: Mapping[str, Callable[[RoadMap, World, Frame, int, Sequence[str]], bool]] = {

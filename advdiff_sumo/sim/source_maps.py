@@ -1,4 +1,4 @@
-"""Any map that can be converted, those of ScenarioNet records in the frame in which their drives are read."""
+"""Read any map that can be converted; those of ScenarioNet records in the frame of their drives."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 
 def read_source(path: Path) -> SourceMap:
-    """Return the map in *path*; that of a record of nuScenes lies where the data set's own map does.
+    """Return the map in *path*; that of a nuScenes record is placed where the data set's own map is.
 
     Raises:
-        InputError: the file cannot be read, is of no known format, or holds nothing usable.
+        InputError: the file cannot be read, has no known format, or contains nothing usable.
     """
     if path.suffix != ".pkl":
         return read_map(path)

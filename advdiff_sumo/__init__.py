@@ -1,4 +1,4 @@
-"""Closed-loop adversarial traffic on SUMO: finds the situations in which a driving planner fails.
+"""Closed-loop adversarial traffic on SUMO: find situations in which a driving planner fails.
 
 ::
 
@@ -21,7 +21,7 @@ __all__ = ["EpisodeView", "Results", "__version__", "convert", "load", "run", "s
 
 
 def __getattr__(name: str) -> Any:
-    """Return a name of the API; imported with its first use, since it brings SUMO and plots with it."""
+    """Return a name of the API; it is imported when first used, since it also imports SUMO and plots."""
     if name in __all__:
         import importlib
 

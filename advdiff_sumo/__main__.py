@@ -1,4 +1,4 @@
-"""The command ``advdiff-sumo``, also as ``python -m advdiff_sumo``."""
+"""Start the command ``advdiff-sumo``, also as ``python -m advdiff_sumo``."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from advdiff_sumo.core.errors import INTERRUPTED, KEPT
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C is heard from the beginning, as its imports take a second or two."""
-    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if heard:
+    """Run the command line; Ctrl-C also works during its imports, which take a second or two."""
+    is_default_handler = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_default_handler:
         signal.signal(signal.SIGINT, _leave)
     from advdiff_sumo.cli.main import main as command_line
 
-    if heard:
+    if is_default_handler:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     command_line()
 
 
-def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - what a handler is given
-    """Leave at once: nothing has been begun, and libraries that are half imported cannot be unwound."""
+def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the arguments of a signal handler
+    """End the process at once: no work has begun, and partly imported libraries cannot be cleaned up."""
     os.write(2, f"{KEPT}\n".encode())
     os._exit(INTERRUPTED)
 

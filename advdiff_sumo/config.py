@@ -1,4 +1,4 @@
-"""Base of all option models: strict, frozen, and a misspelt key gets a suggestion."""
+"""Base class of all options: strict and frozen, with suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from advdiff_sumo.core.errors import ConfigError, FileError, did_you_mean, neare
 
 _Own = TypeVar("_Own", bound=Mapping[str, Any])
 Seed: TypeAlias = Annotated[int, Field(ge=0, lt=2**63)]
-"""Root of random numbers; tables hold it in 64 bits."""
+"""Root of random numbers; tables store it in 64 bits."""
 
 
-def _finite(own: _Own) -> _Own:
-    """Refuse numbers that are none, which no file of results can hold, also in lists and tables."""
-    for name, value in own.items():
+def _finite(options: _Own) -> _Own:
+    """Refuse NaN and infinity, which result files cannot contain, also in lists and tables."""
+    for name, value in options.items():
         if not _is_finite(value):
             raise ValueError(f"{name} = {_short(value)}: give finite numbers")
-    return own
+    return options
 
 
 def _is_finite(value: Any) -> bool:
+    """Return whether *value*, or all values in it, are finite; what is not a number counts as finite."""
     if isinstance(value, Mapping):
         return all(map(_is_finite, value.values()))
     if isinstance(value, list | tuple):
@@ -35,16 +36,17 @@ def _is_finite(value: Any) -> bool:
 
 
 OwnOptions: TypeAlias = Annotated[dict[str, Any], AfterValidator(_finite)]
-"""Options of a planner's or policy's own, by name."""
+"""A planner's or policy's own options, by name."""
 Variants: TypeAlias = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_finite)]
-"""Values to try of each of them."""
+"""Values to try of each such option."""
 
-#: Two names as alike as "background" and "backgrounds" are one that was misspelt, wherever else the same one is known.
+#: From this similarity on, such as "background" and "backgrounds", a name counts as misspelt. It is then not looked for
+#: in other groups of options.
 _MISSPELT = 0.85
 
 
 class Options(BaseModel):
-    """Immutable options; unknown keys are refused, never ignored."""
+    """Immutable options; unknown names are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -53,11 +55,11 @@ class Options(BaseModel):
         """Validate *values*.
 
         Args:
-            values: nested plain dictionary.
-            where: what the values came from, for the message.
+            values: nested dictionary of plain values.
+            where: source of the values, for the message.
 
         Raises:
-            ConfigError: one sentence that names the key, the value and the remedy.
+            ConfigError: one sentence that names the option, the value and the remedy.
         """
         try:
             return cls.model_validate(dict(values))
@@ -66,6 +68,7 @@ class Options(BaseModel):
 
 
 def _sentence(model: type[BaseModel], error: ValidationError) -> str:
+    """Return the first problem in *error* as a sentence."""
     first = error.errors(include_url=False)[0]
     path, value = first["loc"], first["input"]
     key = _dotted(path)
@@ -74,64 +77,68 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
     if first["type"] == "missing":
         return f"option '{key}' is missing"
     if first["type"] == "model_type":
-        inside = _dotted((*path, next(iter(_group(model, path).model_fields))))
+        example = _dotted((*path, next(iter(_group(model, path).model_fields))))
         if isinstance(value, list):
-            return (
-                f"{key} = {_short(value)}: that is a list; a group of options belongs there, such as {inside}"
-            )
-        return f"{key} = {_short(value)}: that is a group of options; set one of them, such as {inside}"
+            return f"{key} = {_short(value)}: that is a list; a group of options belongs there, such as {example}"
+        return f"{key} = {_short(value)}: that is a group of options; set one of them, such as {example}"
     message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "value_error" and isinstance(
-        value, Mapping
-    ):  # a rule about several options names them
+    if first["type"] == "value_error" and isinstance(value, Mapping):
+        # a rule about several options names them itself
         return f"{key}: {message}" if key else message
     return f"{key or 'value'} = {_short(value)}: {message[0].lower()}{message[1:]}"
 
 
 def _remedy(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Return the nearest name: one of the group that is hardly another, the same one in another group, or any."""
-    same = [name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]]
-    if _dotted(path) in same:
+    """Return a suggestion for the unknown option at *path*.
+
+    It is the nearest name in the same group if that is similar enough, else the same name in another group, else the
+    nearest name in the same group.
+    """
+    same_name = [
+        name for name in _leaves(model) if name.rpartition(".")[2] == str(path[-1]).rpartition(".")[2]
+    ]
+    if _dotted(path) in same_name:
         return "write it without quotation marks: a name with a dot in quotation marks is another one"
-    beside = list(_group(model, path[:-1]).model_fields)
-    if same and nearest(str(path[-1]), beside, _MISSPELT) is None:
-        if same == [path[-1]] and any(isinstance(part, int) for part in path):
+    siblings = list(_group(model, path[:-1]).model_fields)
+    if same_name and nearest(str(path[-1]), siblings, _MISSPELT) is None:
+        if same_name == [path[-1]] and any(isinstance(part, int) for part in path):
             return f"'{path[-1]}' holds for the whole file: write it above its first [table]"
-        return did_you_mean(_dotted(path), same)
-    return did_you_mean(str(path[-1]), beside)
+        return did_you_mean(_dotted(path), same_name)
+    return did_you_mean(str(path[-1]), siblings)
 
 
 def _dotted(path: tuple[int | str, ...]) -> str:
+    """Return *path* as a dotted name."""
     return ".".join(str(part) for part in path)
 
 
 def _short(value: Any) -> str:
-    """Return *value* as Python writes it, long ones cut, groups of options as "{...}"."""
-    form = reprlib.Repr()
-    form.maxdict, form.maxlist, form.maxstring, form.maxother = 0, 4, 40, 40
-    return form.repr(value)
+    """Return *value* as Python writes it, with long ones shortened and groups of options as "{...}"."""
+    short_repr = reprlib.Repr()
+    short_repr.maxdict, short_repr.maxlist, short_repr.maxstring, short_repr.maxother = 0, 4, 40, 40
+    return short_repr.repr(value)
 
 
 def _group(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseModel]:
-    """Return the model of the group of options at *path*, as far as there are groups."""
+    """Return the model of the group of options at *path*; if there is none, that of the last group on the way."""
     for part in path:
         if isinstance(part, int):
-            continue  # a place in a list of groups
-        inner = _groups(model).get(part)
-        if inner is None:
+            continue  # a position in a list of groups
+        group = _groups(model).get(part)
+        if group is None:
             break
-        model = inner
+        model = group
     return model
 
 
 def _groups(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Return the fields of *model* that hold a group of options, or several of one kind."""
-    kinds = {}
+    """Return the fields of *model* that contain a group of options, or several of one kind."""
+    groups = {}
     for name, info in model.model_fields.items():
-        for kind in (info.annotation, *get_args(info.annotation)):
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                kinds[name] = kind
-    return kinds
+        for candidate in (info.annotation, *get_args(info.annotation)):
+            if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+                groups[name] = candidate
+    return groups
 
 
 def _leaves(model: type[BaseModel]) -> list[str]:
@@ -160,24 +167,25 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def set_dotted(values: dict[str, Any], assignment: str) -> None:
-    """Apply one ``a.b=c`` of ``--set`` to nested *values*, in place; c is read as a TOML value, else as text.
+    """Set one ``a.b=c`` of ``--set`` in nested *values*, in place; c is read as a TOML value, or else as text.
 
     Raises:
-        ConfigError: there is no "=" in it, or a part of the path holds a plain value.
+        ConfigError: there is no "=" in it, or a part of the path is not a group of options.
     """
     path, equals, text = assignment.partition("=")
     if not equals or not path.strip():
         raise ConfigError(f"--set {assignment}: expected NAME=VALUE, for example --set sim.step_s=0.1")
     *parents, leaf = path.strip().split(".")
-    node = values
+    group = values
     for parent in parents:
-        node = node.setdefault(parent, {})
-        if not isinstance(node, dict):
+        group = group.setdefault(parent, {})
+        if not isinstance(group, dict):
             raise ConfigError(f"--set {assignment}: '{parent}' is not a group of options")
-    node[leaf] = _toml_value(text.strip())
+    group[leaf] = _toml_value(text.strip())
 
 
 def _toml_value(text: str) -> Any:
+    """Return *text* as a TOML value, or as it is if it is none."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -1,4 +1,4 @@
-"""What a script or a notebook calls; ``import advdiff_sumo as ads`` has all of it."""
+"""Functions and classes for scripts and notebooks; ``import advdiff_sumo as ads`` has all of them."""
 
 from advdiff_sumo.api.episode_view import EpisodeView
 from advdiff_sumo.api.result_tables import Results, Summary, load

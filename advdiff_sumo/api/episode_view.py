@@ -1,4 +1,4 @@
-"""One episode, to look at."""
+"""Show one episode of a run or sweep, as a figure or in a player."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from advdiff_sumo.report.folder import FinishedRun
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FACTS = (
+_REPR_COLUMNS = (
     "end",
     "collision_type",
     "at_fault",
@@ -29,10 +29,10 @@ _FACTS = (
 
 @dataclass(frozen=True)
 class Player:
-    """The report's player of one episode, inline in a notebook.
+    """The report's player of one episode; shown inline in a notebook.
 
     Attributes:
-        page: HTML that needs nothing else.
+        page: HTML without external files.
     """
 
     page: str
@@ -43,10 +43,10 @@ class Player:
 
 @dataclass(frozen=True)
 class EpisodeView:
-    """One episode of a run or sweep; shows itself as a film strip.
+    """One episode of a run or sweep; shown as a film strip in a notebook.
 
     Attributes:
-        run: that it belongs to.
+        run: the run or sweep.
         row: its row of ``episodes.parquet``.
     """
 
@@ -55,7 +55,7 @@ class EpisodeView:
 
     @property
     def number(self) -> int:
-        """Its number."""
+        """The episode's number."""
         return int(self.row["episode"])
 
     def figure(self, panels: int = 4, start_s: float | None = None, end_s: float | None = None) -> Figure:
@@ -64,11 +64,11 @@ class EpisodeView:
         Args:
             panels: how many.
             start_s: first moment; by default 6 s before the last.
-            end_s: last moment; by default the contact, or 1 s after the least distance.
+            end_s: last moment; by default the contact, or 1 s after the smallest distance.
 
         Raises:
-            FileError: there are no states of it.
-            ConfigError: the stretch is not in the episode.
+            FileError: there are no states of the episode.
+            ConfigError: the time span is not in the episode.
         """
         from advdiff_sumo.report.selection import ChosenEpisode
         from advdiff_sumo.report.strip import STRIP_S, draw_strip
@@ -78,33 +78,35 @@ class EpisodeView:
         return draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start)
 
     def player(self) -> Player:
-        """Return a player with the charts in step."""
+        """Return a player with synchronous charts."""
         from advdiff_sumo.report.page import report_html
 
         return Player(report_html(self.run.only(self.number)))
 
     def __repr__(self) -> str:
         facts = (
-            f"{name} {_short(self.row[name])}" for name in _FACTS if self.row.get(name) not in (None, "")
+            f"{name} {_value_text(self.row[name])}"
+            for name in _REPR_COLUMNS
+            if self.row.get(name) not in (None, "")
         )
         return f"episode {self.number}: {', '.join(facts)}"
 
     def _repr_html_(self) -> str:
         facts = f"<p>{html.escape(repr(self))}</p>"
         states = self.run.states(self.number)
-        if states is None or states.tracks.steps < 2:  # it failed before it began: there is nothing to draw
+        if states is None or states.tracks.steps < 2:  # it failed before its first step: nothing to draw
             return facts
         picture = io.BytesIO()
         self.figure().savefig(picture, format="png")
-        code = base64.b64encode(picture.getvalue()).decode()
-        return f"{facts}<img src='data:image/png;base64,{code}' style='max-width:100%'>"
+        encoded = base64.b64encode(picture.getvalue()).decode()
+        return f"{facts}<img src='data:image/png;base64,{encoded}' style='max-width:100%'>"
 
 
-def _short(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def framed(page: str, height: int) -> str:
-    """Return *page* as a frame of its own in a notebook, so that neither's style changes the other's."""
-    frame = f"width='100%' height='{height}' style='border:1px solid #ccc'"
-    return f'<iframe {frame} srcdoc="{html.escape(page, quote=True)}"></iframe>'
+    """Return *page* as an iframe for a notebook, so that the styles of page and notebook do not mix."""
+    attributes = f"width='100%' height='{height}' style='border:1px solid #ccc'"
+    return f'<iframe {attributes} srcdoc="{html.escape(page, quote=True)}"></iframe>'

@@ -1,4 +1,4 @@
-"""How far a run is: a bar in a terminal, a line of HTML in a notebook, nothing in a pipe."""
+"""Show the progress of a run: a bar in a terminal, a line of HTML in a notebook, nothing in a pipe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.core.wording import counted
 
 
 class NotebookProgress:
-    """Counts episodes and collisions while a block runs."""
+    """Counts episodes and collisions while the block runs."""
 
     def __init__(self, total: int, wanted: bool) -> None:
         self.total, self.done, self.hits = total, 0, 0
@@ -35,7 +35,7 @@ class NotebookProgress:
             self._bar.stop()
 
     def tell(self, row: Mapping[str, Any] | None, _failed: object = None) -> None:
-        """Count one episode that has ended; None for one without a row."""
+        """Count an episode that has ended, and its collision if *row* has one; *row* is None for a failed episode."""
         self.done += 1
         self.hits += bool(row and row["target_collision"])
         if self._bar is not None:

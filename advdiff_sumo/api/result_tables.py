@@ -1,4 +1,4 @@
-"""What a run or sweep came to, to be asked in a script and looked at in a notebook."""
+"""Read the results of a run or sweep in a script, and show them in a notebook."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
 @dataclass(frozen=True)
 class Summary:
-    """A few figures about a run; prints itself, and is a table in a notebook.
+    """Main figures of a run as text; a table in a notebook.
 
     Attributes:
         lines: (name, value with unit).
@@ -33,8 +33,8 @@ class Summary:
     figures: dict[str, Any]
 
     def __repr__(self) -> str:
-        wide = max(len(name) for name, _ in self.lines)
-        return "\n".join(f"{name:<{wide}}  {value}" for name, value in self.lines)
+        width = max(len(name) for name, _ in self.lines)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in self.lines)
 
     def _repr_html_(self) -> str:
         rows = (f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in self.lines)
@@ -43,10 +43,10 @@ class Summary:
 
 @dataclass(frozen=True)
 class ReportPage:
-    """The page of a run; opens inline in a notebook.
+    """The report page of a run; shown inline in a notebook.
 
     Attributes:
-        path: the file, which needs nothing else.
+        path: the file, which needs no other file.
     """
 
     path: Path
@@ -60,18 +60,18 @@ class Results:
     """The folder of a finished run or sweep.
 
     Attributes:
-        folder: where it lies.
+        folder: its path.
     """
 
     folder: Path
 
     @cached_property
     def finished(self) -> FinishedRun:
-        """What the report reads of it."""
+        """The content of the folder, as the report reads it."""
         return FinishedRun.read(self.folder)
 
     def table(self, name: str = "episodes") -> pa.Table:
-        """Return ``NAME.parquet`` of the folder; ``docs/outputs.md`` has names and columns.
+        """Return ``NAME.parquet`` of the folder; ``docs/outputs.md`` lists names and columns.
 
         Raises:
             FileError: there is no such table.
@@ -79,13 +79,13 @@ class Results:
         tables = RunTables(self.folder)
         path = tables.path(name)
         if not path.exists():
-            known = ", ".join(sorted(p.stem for p in self.folder.glob("*.parquet")))
-            raise FileError(path, "no such table", f"known are: {known}")
+            names = ", ".join(sorted(p.stem for p in self.folder.glob("*.parquet")))
+            raise FileError(path, "no such table", f"known are: {names}")
         return tables.rows(name)
 
     @property
     def episodes(self) -> pa.Table:
-        """One row an episode."""
+        """Table with one row for each episode."""
         return self.table("episodes")
 
     def to_pandas(self, name: str = "episodes") -> Any:
@@ -100,7 +100,7 @@ class Results:
             raise MissingExtraError("a data frame", "pandas") from None
 
     def summary(self) -> Summary:
-        """Return rates with intervals, medians, planning times, and why episodes failed."""
+        """Return rates with intervals, medians, planning times, and the reasons why episodes failed."""
         rows, timing = RunTables(self.folder).all_episodes(), self.table("timing").to_pylist()
         failed = {
             str(row["failure_kind"]): str(row["failure_message"])
@@ -149,12 +149,12 @@ class Results:
 
 
 def load(folder: str | Path) -> Results:
-    """Return the results in the folder of a run or sweep, also of one that was interrupted.
+    """Return the results in the folder of a run or sweep, which may have been interrupted.
 
     Raises:
         FileError: it is no such folder, or a file in it is damaged.
     """
-    from advdiff_sumo.experiments.folder_rows import put_together  # late: a run's own results need it not
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: the results of run() do not need it
 
     put_together(Path(folder))
     results = Results(Path(folder))

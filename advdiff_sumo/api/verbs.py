@@ -1,4 +1,4 @@
-"""Run, sweep and convert, as functions."""
+"""Run, sweep and convert from a script or notebook."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from advdiff_sumo.planners.planner_protocol import Planner
 if TYPE_CHECKING:
     from advdiff_sumo.sim.measured_conversion import MeasuredConversion
 
-_TIMEOUT_S, _RETRIES = 300.0, 2
+_TIMEOUT_S, _RETRIES = 300.0, 2  # of a sweep's episodes
 
 
 def run(
@@ -32,23 +32,23 @@ def run(
     progress: bool = True,
     **options: Any,
 ) -> Results:
-    """Run episodes in this process and return what happened.
+    """Run episodes in this process and return their results.
 
     Args:
         net: a SUMO net, or the name of a shipped one.
-        target: what drives the tested vehicle: a name as of ``--target``, or a planner itself, which is written down by
-            its class's name and of whose ``target_options`` there are ``defects`` only.
-        background: what moves the others, as of ``--background``.
+        target: what drives the tested vehicle: a name as for ``--target``, or a planner object. Results name an object
+            by its class; of its ``target_options``, only ``defects`` can be given.
+        background: what moves the background vehicles, as for ``--background``.
         episodes: how many.
         horizon_s: longest duration of an episode.
         seed: root of all random numbers.
         out: a new folder for the results; by default one in ``runs``, named after the run.
-        progress: whether to show how far it is.
+        progress: whether to show the progress.
         **options: any other field of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`: ``target_options``,
             ``background_options``, ``demand``, ``scenes``, ``sim``, ``scene``.
 
     Raises:
-        InputError: one of its kinds; a sentence that names the culprit.
+        InputError: one of its kinds; the message names the culprit.
     """
     from advdiff_sumo.sim.free_folder import free_folder, run_words
     from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -59,10 +59,10 @@ def run(
     planner = None if isinstance(target, str) else _checked(target)
     name = target if isinstance(target, str) else f"{type(target).__module__}:{type(target).__qualname__}"
     given = {"net": str(net), "target": name, "background": background, "episodes": episodes}
-    asked = RunOptions.parse({**given, "horizon_s": horizon_s, "seed": seed, **options}, "ads.run")
+    run_options = RunOptions.parse({**given, "horizon_s": horizon_s, "seed": seed, **options}, "ads.run")
     if planner is not None:
-        planner = _with_options(planner, asked.target_options, name)
-    prepared = Run.prepare(asked, planner=planner)
+        planner = _with_options(planner, run_options.target_options, name)
+    prepared = Run.prepare(run_options, planner=planner)
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
@@ -72,7 +72,7 @@ def run(
 
 
 def _checked(planner: object) -> Planner:
-    """Return *planner* where it is one; errors as in :func:`run`."""
+    """Return *planner* if it is a planner object; errors as in :func:`run`."""
     if isinstance(planner, type):
         raise ConfigError(
             f"target is the class {planner.__qualname__}; give an object of it: {planner.__qualname__}()"
@@ -86,13 +86,13 @@ def _checked(planner: object) -> Planner:
 
 
 def _with_options(planner: Planner, options: Mapping[str, Any], name: str) -> Planner:
-    """Return *planner* with the defects of *options*; all else it was made with, or not."""
+    """Return *planner* with the defects of *options*; other options are refused, as the planner is made already."""
     for key in options:
         if key != "defects":
-            word = type(planner).__qualname__
+            class_name = type(planner).__qualname__
             raise ConfigError(
                 f"ads.run: target_options['{key}'] comes too late for a planner that is given as an object; "
-                f"make it with that, as in target={word}({key}=...), or give its class by name: target='{name}'"
+                f"make it with that, as in target={class_name}({key}=...), or give its class by name: target='{name}'"
             )
     return cast("Planner", plant(planner, parse_defects(options.get("defects", ())), name))
 
@@ -104,18 +104,18 @@ def sweep(
     workers: int | None = None,
     progress: bool = True,
 ) -> Results:
-    """Run a sweep on processes of this machine and return what happened.
+    """Run a sweep on processes of this machine and return its results.
 
-    A script calls this below ``if __name__ == "__main__":``, as its workers import it.
+    A script must call this below ``if __name__ == "__main__":``, since the worker processes import the script.
 
     Args:
-        spec: a sweep file, or what would stand in one.
+        spec: a sweep file, or its content as a mapping.
         out: a new folder for the results; by default one in ``runs``.
-        workers: how many processes; by default one a core.
-        progress: whether to show how far it is.
+        workers: number of processes; by default one per core.
+        progress: whether to show the progress.
 
     Raises:
-        InputError: one of its kinds; a sentence that names the culprit.
+        InputError: one of its kinds; the message names the culprit.
     """
     from advdiff_sumo.cli.worker_flags import cores, limits_of
     from advdiff_sumo.sim.free_folder import free_folder
@@ -124,29 +124,31 @@ def sweep(
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 
-    if getattr(current_process(), "_inheriting", False):  # the flag by which multiprocessing itself tells
+    if getattr(current_process(), "_inheriting", False):  # multiprocessing sets it while a worker imports
         raise ConfigError(
             "ads.sweep was called by a worker of another sweep, which imports the script anew; "
             'call it below if __name__ == "__main__":'
         )
-    asked = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
-    plan = plan_sweep(asked, places=True)
+    sweep_spec = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
+    plan = plan_sweep(sweep_spec, places=True)
     name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem
-    slots = workers or cores()
+    worker_count = workers or cores()
     with ExitStack() as stack:
-        executor = ProcessExecutor(slots, limits_of(stack, _TIMEOUT_S))
-        store = open_store(Path(out) if out is not None else free_folder(name), plan, slots, resume=False)
+        executor = ProcessExecutor(worker_count, limits_of(stack, _TIMEOUT_S))
+        store = open_store(
+            Path(out) if out is not None else free_folder(name), plan, worker_count, resume=False
+        )
         bar = stack.enter_context(NotebookProgress(plan.wanted, progress))
         run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, bar.tell)
     return Results(store.path)
 
 
 def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredConversion:
-    """Convert an HD map of any kind that ``advdiff-sumo convert`` takes to a SUMO net, and measure how exact it is.
+    """Convert an HD map of any kind that ``advdiff-sumo convert`` accepts to a SUMO net, and measure how exact it is.
 
     Args:
         map_file: the map.
-        net: the net to be written, ``NAME.net.xml``; drivable area and ``NAME.fidelity.json`` come to lie beside it.
+        net: the net to be written, ``NAME.net.xml``; drivable area and ``NAME.fidelity.json`` are written beside it.
         **options: any field of :class:`~advdiff_sumo.sim.measured_conversion.ConvertOptions`, which are the options of
             the command: ``lefthand``, ``tls``, ``tls_cycle``, ``crossings``, ``opendrive``, ``close_rim``, ``osm``,
             ``dataroot``, ``report``, ``drive``, ``drive_at_once``, ``seed``.
@@ -155,7 +157,7 @@ def convert(map_file: str | Path, net: str | Path, **options: Any) -> MeasuredCo
         the net, the figures of ``NAME.fidelity.json``, and all that the conversion made.
 
     Raises:
-        InputError: one of its kinds; a sentence that names the culprit.
+        InputError: one of its kinds; the message names the culprit.
     """
     from advdiff_sumo.sim.measured_conversion import ConvertOptions, convert_and_measure
 

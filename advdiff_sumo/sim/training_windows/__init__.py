@@ -1,1 +1,1 @@
-"""Windows to train on, out of natural SUMO traffic and of driving logs."""
+"""Make training windows from natural SUMO traffic and from driving logs."""

@@ -1,8 +1,8 @@
-"""Vehicle types whose drivers and sizes vary as in real traffic.
+"""Draw vehicle types whose drivers and sizes vary as in real traffic.
 
-Ranges: headways, accelerations and decelerations after Treiber and Kesting, Traffic Flow Dynamics (2013,
-doi:10.1007/978-3-642-32460-4), table 11.2, widened; speed factors after SUMO's default spread; vehicle sizes
-as in nuScenes' description and European registration statistics; the rest spans SUMO's documented ranges.
+Sources of the ranges: headways, accelerations and decelerations after Treiber and Kesting, Traffic Flow Dynamics (2013,
+doi:10.1007/978-3-642-32460-4), table 11.2, widened; speed factors after SUMO's default spread; vehicle sizes as in
+nuScenes' description and European registration statistics; all others cover the ranges that SUMO documents.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class VehicleKind:
 
     Attributes:
         vclass: SUMO's vehicle class.
-        types: how many driver types are drawn.
+        types: number of driver types that are drawn.
         share: of the traffic.
         length_m: shortest and longest.
         width_m: narrowest and widest.
@@ -58,7 +58,7 @@ KINDS: Mapping[str, VehicleKind] = {
 
 @dataclass(frozen=True)
 class DriverType:
-    """A vType: its attributes and its parameters."""
+    """A vType: its id, kind of vehicle, attributes and parameters."""
 
     id: str
     kind: str
@@ -67,20 +67,21 @@ class DriverType:
 
 
 def driver_types(rng: np.random.Generator) -> list[DriverType]:
-    """Return the driver types of one simulation, several of each kind of vehicle."""
+    """Return the driver types of one simulation, several for each kind of vehicle."""
     return [
-        _driver(f"{name}{number}", name, kind, rng)
+        _driver_type(f"{name}{number}", name, kind, rng)
         for name, kind in KINDS.items()
         for number in range(kind.types)
     ]
 
 
-def _driver(name: str, kind_name: str, kind: VehicleKind, rng: np.random.Generator) -> DriverType:
+def _driver_type(name: str, kind_name: str, kind: VehicleKind, rng: np.random.Generator) -> DriverType:
+    """Return a random driver type called *name* of a kind of vehicle."""
     model = str(rng.choice(CAR_FOLLOWING, p=_MODEL_SHARES))
-    size = rng.random()
+    size_share = rng.random()
     numbers = {
-        "length": _between(kind.length_m, size),
-        "width": _between(kind.width_m, np.clip(size + rng.normal(0.0, 0.2), 0.0, 1.0)),
+        "length": _interpolated(kind.length_m, size_share),
+        "width": _interpolated(kind.width_m, np.clip(size_share + rng.normal(0.0, 0.2), 0.0, 1.0)),
         "accel": rng.uniform(*kind.accel_mps2),
         "decel": rng.uniform(*kind.decel_mps2),
         "emergencyDecel": rng.uniform(7.0, 9.0),
@@ -89,27 +90,28 @@ def _driver(name: str, kind_name: str, kind: VehicleKind, rng: np.random.Generat
         "maxSpeed": rng.uniform(*kind.top_mps),
     }
     mean = np.clip(rng.normal(1.0, 0.1), 0.75, 1.25)
-    spread = f"normc({mean:.3f},{rng.uniform(0.03, 0.12):.3f},0.6,1.5)"
-    fixed = {"id": name, "vClass": kind.vclass, "carFollowModel": model, "speedFactor": spread}
+    speed_factor = f"normc({mean:.3f},{rng.uniform(0.03, 0.12):.3f},0.6,1.5)"
+    fixed = {"id": name, "vClass": kind.vclass, "carFollowModel": model, "speedFactor": speed_factor}
     fixed["latAlignment"] = str(rng.choice(_ALIGNMENTS, p=_ALIGNMENT_SHARES))
     if kind.vclass in ("motorcycle", "bicycle"):
         fixed["latAlignment"] = str(rng.choice(("center", "right", "arbitrary")))
     if model in ("Krauss", "W99"):
         numbers["sigma"] = rng.uniform(0.0, 0.6)
-    numbers |= _lane_changing(rng) | _at_junctions(rng)
+    numbers |= _lane_change_numbers(rng) | _junction_numbers(rng)
     if rng.random() < _SLOW_REACTION_SHARE:
         numbers["actionStepLength"] = float(rng.choice((0.2, 0.3, 0.5)))
-    distracted = rng.random() < _DISTRACTED_SHARE
+    is_distracted = rng.random() < _DISTRACTED_SHARE
     device = {"has.driverstate.device": "true", "device.driverstate.initialAwareness": "0.6"}
     return DriverType(
         name,
         kind_name,
         fixed | {key: f"{value:.3f}" for key, value in numbers.items()},
-        device if distracted else {},
+        device if is_distracted else {},
     )
 
 
-def _lane_changing(rng: np.random.Generator) -> dict[str, float]:
+def _lane_change_numbers(rng: np.random.Generator) -> dict[str, float]:
+    """Return random numbers of SUMO's lane-change model."""
     return {
         "lcStrategic": rng.uniform(0.6, 2.0),
         "lcCooperative": rng.uniform(0.3, 1.0),
@@ -125,7 +127,8 @@ def _lane_changing(rng: np.random.Generator) -> dict[str, float]:
     }
 
 
-def _at_junctions(rng: np.random.Generator) -> dict[str, float]:
+def _junction_numbers(rng: np.random.Generator) -> dict[str, float]:
+    """Return random numbers of SUMO's junction model; a few drivers are careless and may ignore others."""
     careful = {
         "impatience": rng.uniform(0.0, 0.5),
         "jmTimegapMinor": rng.uniform(0.7, 2.0),
@@ -137,5 +140,6 @@ def _at_junctions(rng: np.random.Generator) -> dict[str, float]:
     return careful | careless | {"jmTimegapMinor": rng.uniform(0.2, 0.7)}
 
 
-def _between(span: tuple[float, float], share: float) -> float:
+def _interpolated(span: tuple[float, float], share: float) -> float:
+    """Return the value at *share* of *span*; 0 is its beginning, 1 its end."""
     return span[0] + share * (span[1] - span[0])

@@ -1,8 +1,8 @@
-"""Traffic that a trained model drove up to some instant and SUMO's drivers from there on: data aggregation.
+"""Record traffic that a trained model drives for a while, and then SUMO's drivers: data aggregation.
 
-A model that is trained on recordings alone never sees the situations into which its own errors lead it. Here it drives
-by itself for a while, then SUMO's drivers take over and show what is to be done from there (DAgger, Ross et al. 2011,
-arXiv:1011.0686, with SUMO as the expert).
+A model trained on recordings alone never sees the situations into which its own errors lead. Here it first drives
+itself. SUMO's drivers then take over and show the right response (DAgger, Ross et al. 2011, arXiv:1011.0686, with SUMO
+as the expert).
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 _EPISODE_S = 70.0
-_DRIVES_S = (3.0, 25.0)
-_LATER = (0, 2, 4)
-"""Model steps after the hand-over at which windows are cut."""
+_MODEL_TURN_S = (3.0, 25.0)
+"""Shortest and longest turn of the model."""
+_WINDOW_STEPS = (0, 2, 4)
+"""Windows are cut so many model steps after the hand-over."""
 _SIM = SimOptions(stop_at_collision=False, record_plans=0, record_natural=False)
 _SCENE = SceneOptions(
     warmup_s=WARMUP_S, min_route_m=250.0, min_speed_mps=0.0, spacing_s=8.0, scenes_per_warmup=2
@@ -63,34 +64,34 @@ class DrivingModel:
         """Return the model of *weights*, a path or a shipped name.
 
         Raises:
-            WeightsError: the file is missing, damaged, or holds other networks.
+            WeightsError: the file is missing, damaged, or contains other networks.
         """
         path = find_weights(weights)
-        _policy(str(path))  # refuses what cannot drive
+        _policy(str(path))  # raises if the networks cannot drive
         return DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest())
 
     def policy(self) -> TrafficPolicy:
-        """Return it as a background without a guide; the networks are read once a process.
+        """Return the model as a background without a guide; the networks are read once per process.
 
         Raises:
-            WeightsError: the file is missing, damaged, or holds other networks.
+            WeightsError: the file is missing, damaged, or contains other networks.
         """
         return _policy(str(self.weights))
 
 
 @lru_cache(maxsize=1)
 def _policy(weights: str) -> TrafficPolicy:
-    # brings PyTorch with it, which traffic of SUMO alone does without
+    # imports PyTorch, which traffic of SUMO alone does not need
     from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 
     return DiffusionTraffic(guide="none", weights=weights, device="cpu")
 
 
 def record_handbacks(road: RoadMap, seed: SeedTree, model: DrivingModel) -> Iterator[Recording]:
-    """Yield stretches of traffic on *road* that *model* and SUMO drive in turn; *seed* decides all.
+    """Yield stretches of traffic on *road* that *model* and SUMO drive in turn; *seed* decides everything.
 
-    In each, the model moves everybody around one vehicle for 3 to 25 s, SUMO's drivers for the 8 s that follow, and
-    so on for 70 s.
+    The model moves the vehicles around one vehicle for 3 to 25 s, then SUMO's drivers move them for 8 s, and so on for
+    70 s.
 
     Raises:
         SceneError: no vehicle ever has others around it.
@@ -104,23 +105,23 @@ def record_handbacks(road: RoadMap, seed: SeedTree, model: DrivingModel) -> Iter
         files = DemandFiles((path,), (), 0.0)
         scenes = NaturalTraffic(road, files, _SCENE, _SIM, DT_S, seed).batch(0)
     for number, scene in enumerate(scenes):
-        yield driven_in_turn(road, scene, seed.child("handback", number), model.policy())
+        yield drive_in_turn(road, scene, seed.child("handback", number), model.policy())
 
 
-def driven_in_turn(
+def drive_in_turn(
     road: RoadMap,
     scene: SeedScene,
     seed: SeedTree,
     policy: TrafficPolicy,
     duration_s: float = _EPISODE_S,
-    spans_s: tuple[float, float] = _DRIVES_S,
+    spans_s: tuple[float, float] = _MODEL_TURN_S,
 ) -> Recording:
     """Return traffic around the target of *scene* that *policy* and SUMO's drivers drive in turn.
 
     Args:
         road: the map.
         scene: where it begins.
-        seed: of all that is random.
+        seed: of all random numbers.
         policy: drives first.
         duration_s: no turn of the policy begins later.
         spans_s: shortest and longest turn of the policy.
@@ -132,47 +133,56 @@ def driven_in_turn(
     with episode.opened() as loop:
         try:
             loop.start()
-            while loop.time_s < duration_s and _in_turn(loop, policy, _span_s(rng, *spans_s), handbacks):
+            while loop.time_s < duration_s and _drive_two_turns(
+                loop, policy, _turn_s(rng, *spans_s), handbacks
+            ):
                 pass
         except EpisodeFailure:
-            pass  # what was recorded until then is as good
-        return recorded(loop, handbacks)
+            pass  # the recording until then is usable
+        return recording_of(loop, handbacks)
 
 
-def _span_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
-    """Return how long the policy drives: short turns are as frequent as long ones, by their ratio."""
+def _turn_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
+    """Return a random duration of the policy's turn, uniform in its logarithm."""
     return float(np.exp(rng.uniform(np.log(least_s), np.log(most_s))))
 
 
-def _in_turn(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
-    """Let *policy* drive for *span_s*, and SUMO then; note the instant between; return whether it can go on."""
-    for driver, seconds in ((policy, span_s), (SumoTraffic(), DT_S * (FUTURE + max(_LATER)))):
+def _drive_two_turns(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
+    """Let *policy* drive for *span_s* and then SUMO, and append the instant between to *handbacks*.
+
+    Return whether the episode can continue.
+    """
+    for driver, seconds in ((policy, span_s), (SumoTraffic(), DT_S * (FUTURE + max(_WINDOW_STEPS)))):
         loop.background.source = PlanSource(driver)
         loop.background.start(loop.scene_now())
-        until = loop.steps + round(seconds / DT_S) * loop.sim.substeps
-        loop.run(until)
-        if loop.steps < until:
+        end_step = loop.steps + round(seconds / DT_S) * loop.sim.substeps
+        loop.run(end_step)
+        if loop.steps < end_step:
             return False
         if driver is policy:
             handbacks.append(len(loop.recorder.model_frames) - 1)
     return True
 
 
-def recorded(loop: Loop, handbacks: Sequence[int]) -> Recording:
-    """Return what *loop* recorded; windows begin where SUMO's drivers take over, and end where they no longer drive.
+def recording_of(loop: Loop, handbacks: Sequence[int]) -> Recording:
+    """Return the recording of *loop*, with windows from where SUMO's drivers take over, and futures while they drive.
 
     Args:
-        loop: of an episode that has come to its end, or failed.
+        loop: of an episode that has ended or failed.
         handbacks: instants at which SUMO's drivers take over.
     """
     frames, sim = loop.recorder.model_frames, loop.sim
-    tracks, who = stack(loop.world, frames, np.arange(len(loop.world)), 0.0, DT_S)
+    tracks, controller = stack(loop.world, frames, np.arange(len(loop.world)), 0.0, DT_S)
     focal = np.zeros_like(tracks.valid)
     for handback in handbacks:
-        later = [handback + steps for steps in _LATER if handback + steps < len(frames)]
-        focal[:, later] = (who[:, handback] == Controller.POLICY)[:, None]
-    before = sim.history_steps - 1
-    signals = [loop.recorder.signals[max(k - before, 0) * sim.substeps] for k in range(len(frames))]
-    instants = tuple(h + k for h in handbacks for k in _LATER if h + k + FUTURE < len(frames))
-    nobody = np.zeros(tracks.agents, dtype=np.bool_)
-    return Recording(tracks, nobody, tuple(signals), instants, focal & tracks.valid, who == Controller.SUMO)
+        later = [handback + steps for steps in _WINDOW_STEPS if handback + steps < len(frames)]
+        focal[:, later] = (controller[:, handback] == Controller.POLICY)[:, None]
+    past_steps = sim.history_steps - 1
+    signals = [loop.recorder.signals[max(k - past_steps, 0) * sim.substeps] for k in range(len(frames))]
+    instants = tuple(
+        start + k for start in handbacks for k in _WINDOW_STEPS if start + k + FUTURE < len(frames)
+    )
+    parked = np.zeros(tracks.agents, dtype=np.bool_)
+    return Recording(
+        tracks, parked, tuple(signals), instants, focal & tracks.valid, controller == Controller.SUMO
+    )

@@ -1,4 +1,4 @@
-"""The net that each drive of a log was driven on: a given one, that of a run, or one converted from the log's map."""
+"""Find the net on which each drive of a log was driven: given, that of a run, or converted from the log's map."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.sim.logs import fits
 from advdiff_sumo.sim.source_maps import read_source
 
-_NOT_ON = "on none of the nets"
+_NO_NET = "on none of the nets"
 
 
 class NoNetError(AdvdiffError):
-    """There is no net for a drive; the message says why, as a clause."""
+    """There is no net for a drive; the message gives the reason, as a clause."""
 
 
 @dataclass(frozen=True)
 class LogNets:
-    """Nets to choose from, and where converted ones are kept.
+    """Nets to choose from, and the folder of converted ones.
 
     Attributes:
         given: by the user.
@@ -46,10 +46,10 @@ class LogNets:
     _refused: dict[Path, str] = field(default_factory=dict)
 
     def of(self, drive: LogScene, reader: LogReader) -> RoadMap:
-        """Return the net that *drive* was driven on, those called like its map first.
+        """Return the net on which *drive* was driven; nets named after its map are tried first.
 
         Raises:
-            NoNetError: none of them is, and its map cannot be converted, or gives no net that it is on.
+            NoNetError: the drive is on none of them, and its map cannot be converted or does not fit the drive.
         """
         for road in sorted(self.given, key=lambda road: road.name != drive.location):
             if fits(road, drive):
@@ -57,21 +57,22 @@ class LogNets:
         if isinstance(reader, RunReader) and not self.given:
             return self._read(find_net(reader.net))
         if self.converted is None:
-            raise NoNetError(_NOT_ON)
+            raise NoNetError(_NO_NET)
         source = _map_of(drive, reader)
         if source not in self._roads:
-            self._roads[source] = self._converted(source, self.converted)
+            self._roads[source] = self._converted_road(source, self.converted)
         if not fits(self._roads[source], drive):
             raise NoNetError(f"the recording vehicle is off the lanes of its own map, {source.name}")
         return self._roads[source]
 
     def _read(self, net: Path) -> RoadMap:
+        """Return the net in file *net*, which is read once."""
         if net not in self._roads:
             self._roads[net] = RoadMap.read(net)
         return self._roads[net]
 
-    def _converted(self, source: Path, folder: Path) -> RoadMap:
-        """Return the net made of *source*, which is kept; another one of its name is left as it is."""
+    def _converted_road(self, source: Path, folder: Path) -> RoadMap:
+        """Return the net converted from the map *source*; a failure is remembered."""
         if source in self._refused:
             raise NoNetError(self._refused[source])
         try:
@@ -82,7 +83,10 @@ class LogNets:
 
 
 def _net_of(source: Path, folder: Path) -> Path:
-    """Return the net in *folder* that was made of *source*; made now where there is none."""
+    """Return the net in *folder* that was converted from *source*; convert it now if there is none.
+
+    A net of the same name that was made from another map is kept; the new one then gets a number.
+    """
     content = hashlib.sha256(source.read_bytes()).hexdigest()
     for number in count(1):
         name = map_name(source) + (f"-{number}" if number > 1 else "")
@@ -97,10 +101,10 @@ def _net_of(source: Path, folder: Path) -> Path:
 
 
 def _map_of(drive: LogScene, reader: LogReader) -> Path:
-    """Return the file that holds the map of *drive*.
+    """Return the file with the map of *drive*.
 
     Raises:
-        NoNetError: it is not there, or the log brings no map.
+        NoNetError: the file is missing, or the log has no map.
     """
     if isinstance(reader, ScenarioNetReader | CommonRoadReader):
         return drive.source
@@ -114,4 +118,4 @@ def _map_of(drive: LogScene, reader: LogReader) -> Path:
             return reader.map_file(drive.name)
         except LogError as error:
             raise NoNetError(str(error)) from None
-    raise NoNetError(_NOT_ON)
+    raise NoNetError(_NO_NET)

@@ -1,4 +1,4 @@
-"""Window files out of driving logs, on nets that were given or are converted from the logs' own maps."""
+"""Make window files from driving logs, on nets that were given or are converted from the logs' own maps."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from advdiff_sumo.maps.read_net import base_name
 from advdiff_sumo.sim.training_windows.log_nets import LogNets, NoNetError
 
 _SOURCE = "advdiff-sumo data build"
-_MOST_FOCAL = 8
-_SEEN = 4  # instants of past and of future that a focal agent other than the ego must have
-_MOVING_M = 1.0
+_MAX_FOCAL = 8  # focal agents in a window
+_MIN_INSTANTS = 4  # of past, and of future, that a focal agent other than the ego must have
+_MOVING_M = 1.0  # an agent moves if it gets farther than this from where it is
 _TOO_SHORT = "too short for a window of 8 s"
 
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """Which windows are taken.
+    """Which windows are made.
 
     Attributes:
         stride_s: time between two windows of a drive.
-        others: whether moving vehicles other than the ego become focal agents too.
-        split: published nuScenes split, or None for all scenes.
-        challenge: take the windows of nuScenes' prediction challenge and no others.
-        view: how much of the map they show.
+        others: whether moving vehicles other than the ego also become focal agents.
+        split: published nuScenes split; None: all scenes.
+        challenge: make the windows of nuScenes' prediction challenge only.
+        view: how much of the map the windows contain.
     """
 
     stride_s: float = DT_S
@@ -52,7 +52,7 @@ class BuildOptions:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A drive that gave no window, and why."""
+    """A drive without windows, and the reason."""
 
     drive: str
     reason: str
@@ -60,10 +60,10 @@ class Skipped:
 
 @dataclass
 class Built:
-    """What became of the logs.
+    """Result of building windows from logs.
 
     Attributes:
-        files: path → windows in it.
+        files: path → number of windows in it.
         drives: name and number of windows of each drive, in the order of the logs.
         skipped: drives without windows.
     """
@@ -73,7 +73,7 @@ class Built:
     skipped: list[Skipped] = field(default_factory=list)
 
     def count(self, drive: LogScene, windows: int) -> None:
-        """Note that *drive* is on a net and gave *windows*."""
+        """Note that *drive* has a net and gave *windows* windows."""
         self.drives.append((drive.name, windows))
         if not windows:
             self.skipped.append(Skipped(drive.name, _TOO_SHORT))
@@ -86,62 +86,66 @@ def build(
     out: Path,
     tell: Callable[[str, int], None],
 ) -> Built:
-    """Write the windows of all drives in *logs*, one file a net.
+    """Write the windows of all drives in *logs*, one file for each net.
 
     Args:
         logs: logs with their readers.
         nets: nets to choose from.
         options: which windows.
-        out: a ``.safetensors`` file where all drives are on one net, or a folder.
+        out: a ``.safetensors`` file if all drives are on one net, or a folder.
         tell: called with each drive's name and its number of windows.
 
     Raises:
         InputError: a log or a net cannot be used, or no drive is on any of the nets.
     """
-    built, builders, seen = Built(), dict[Path, WindowFileBuilder](), Counter[str]()
+    built, builders, name_counts = Built(), dict[Path, WindowFileBuilder](), Counter[str]()
     for path, reader in logs:
         for drive, focal in _drives(path, reader, options):
             count = 0
-            seen[drive.name] += 1
+            name_counts[drive.name] += 1
             try:
                 road = nets.of(drive, reader)
             except NoNetError as error:
                 built.skipped.append(Skipped(drive.name, str(error)))
             else:
-                count = _add(_renamed(drive, seen[drive.name]), road, options, focal, builders)
+                count = _add_windows(
+                    _with_unique_name(drive, name_counts[drive.name]), road, options, focal, builders
+                )
                 built.count(drive, count)
             tell(drive.name, count)
     names = distinct_names({net: base_name(net) for net in builders})
     window_files = {
-        names[net]: replace(b, map_name=names[net]).build() for net, b in builders.items() if b.windows
+        names[net]: replace(builder, map_name=names[net]).build()
+        for net, builder in builders.items()
+        if builder.windows
     }
     if not window_files:
-        raise SceneError(_nothing(logs, nets, built))
-    for path, windows in _placed(out, window_files):
+        raise SceneError(_why_none(logs, nets, built))
+    for path, windows in _with_paths(out, window_files):
         write_windows(path, windows)
         built.files[path] = windows.windows
     return built
 
 
-def _renamed(drive: LogScene, number: int) -> LogScene:
-    """Return *drive* under a name of its own, where it is the *number*-th of its name."""
+def _with_unique_name(drive: LogScene, number: int) -> LogScene:
+    """Return *drive*, with *number* added to its name if it is not the first of that name."""
     return drive if number == 1 else replace(drive, name=f"{drive.name}-{number}")
 
 
-def _add(
+def _add_windows(
     drive: LogScene,
     road: RoadMap,
     options: BuildOptions,
     focal: Sequence[tuple[int, str]] | None,
     builders: dict[Path, WindowFileBuilder],
 ) -> int:
-    """Add the windows of *drive* to those of its net, and return how many they are."""
+    """Add the windows of *drive* to those of its net, and return their number."""
     source = f"{_SOURCE} ({drive.source.name})"
     table = road.pieces(options.view)
     builder = builders.setdefault(road.path, WindowFileBuilder(table, road.name, source))
-    before = len(builder.windows)
+    old_count = len(builder.windows)
     builder.windows += log_windows(drive, road, options, focal)
-    return len(builder.windows) - before
+    return len(builder.windows) - old_count
 
 
 def log_windows(
@@ -150,13 +154,13 @@ def log_windows(
     options: BuildOptions,
     focal: Sequence[tuple[int, str]] | None = None,
 ) -> Iterator[WindowArrays]:
-    """Yield the windows of *drive* on *road* that have their whole future within the drive.
+    """Yield the windows of *drive* on *road* whose whole future is within the drive.
 
     Args:
-        drive: at any spacing; resampled to 0.5 s where its own differs.
-        road: the net it was driven on.
-        options: the stride, and whether others than the ego are focal.
-        focal: (instant, agent) pairs to take and no others; windows may then end with the drive.
+        drive: at any spacing; resampled to 0.5 s if necessary.
+        road: the net on which it was driven.
+        options: the stride, and whether agents other than the ego are focal.
+        focal: use only these (instant, agent) pairs; their windows may extend beyond the end of the drive.
     """
     table = road.pieces(options.view)
     tracks = drive.tracks if abs(drive.tracks.dt_s - DT_S) < 1e-9 else resample(drive.tracks, DT_S)
@@ -170,32 +174,39 @@ def log_windows(
     stride = max(1, round(options.stride_s / DT_S))
     for now in range(PAST - 1, tracks.steps - FUTURE, stride):
         order = _focal_order(tracks, now, drive, options.others)
-        for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
+        for rows in crops(tracks.xy_m[:, now], order, _MAX_FOCAL):
             yield window_arrays(tracks, now, rows, drive.parked, table, {}, drive.name)
 
 
 def _focal_order(tracks: Tracks, now: int, drive: LogScene, others: bool) -> IntArray:
-    """Return the ego, where it is there, then other vehicles that move and are seen long enough."""
-    past = tracks.valid[:, now - PAST + 1 : now + 1].sum(axis=1)
-    future = tracks.valid[:, now + 1 : now + 1 + FUTURE].sum(axis=1)
-    moves = _moved_m(tracks.xy_m[:, now : now + 1 + FUTURE]) > _MOVING_M
-    on_wheels = tracks.classes != AgentClass.PEDESTRIAN
-    usable: BoolArray = (past >= _SEEN) & (future >= _SEEN) & moves & on_wheels & ~drive.parked
-    usable = usable & tracks.valid[:, now] & others
-    usable[drive.ego] = False
+    """Return the ego, if present, then other vehicles that move and are visible long enough."""
+    past_count = tracks.valid[:, now - PAST + 1 : now + 1].sum(axis=1)
+    future_count = tracks.valid[:, now + 1 : now + 1 + FUTURE].sum(axis=1)
+    is_moving = _displacement_m(tracks.xy_m[:, now : now + 1 + FUTURE]) > _MOVING_M
+    is_vehicle = tracks.classes != AgentClass.PEDESTRIAN
+    is_usable: BoolArray = (
+        (past_count >= _MIN_INSTANTS)
+        & (future_count >= _MIN_INSTANTS)
+        & is_moving
+        & is_vehicle
+        & ~drive.parked
+    )
+    is_usable = is_usable & tracks.valid[:, now] & others
+    is_usable[drive.ego] = False
     first = [drive.ego] if tracks.valid[drive.ego, now] else []
-    return np.concatenate((first, np.flatnonzero(usable))).astype(np.int64)
+    return np.concatenate((first, np.flatnonzero(is_usable))).astype(np.int64)
 
 
-def _moved_m(xy_m: FloatArray) -> FloatArray:
-    away = np.linalg.norm(xy_m - xy_m[:, :1], axis=-1)
-    return np.asarray(np.nan_to_num(away).max(axis=1))
+def _displacement_m(xy_m: FloatArray) -> FloatArray:
+    """Return (A,) the largest distance of each agent from its first position, for positions (A, L, 2)."""
+    distance = np.linalg.norm(xy_m - xy_m[:, :1], axis=-1)
+    return np.asarray(np.nan_to_num(distance).max(axis=1))
 
 
 def _drives(
     path: Path, reader: LogReader, options: BuildOptions
 ) -> Iterator[tuple[LogScene, list[tuple[int, str]] | None]]:
-    """Yield the drives of the split, with the challenge's windows where these are asked for."""
+    """Yield the drives of the split, each with the challenge's (instant, agent) pairs if these are requested."""
     if not isinstance(reader, NuScenesReader):
         if options.split or options.challenge:
             wanted = "--challenge" if options.challenge else f"--split {options.split}"
@@ -216,13 +227,14 @@ def _drives(
     for name in names:
         focal = None
         if wanted_windows is not None:
-            focal = _instants(reader.instants(name), wanted_windows[name], name, path)
+            focal = _challenge_instants(reader.instants(name), wanted_windows[name], name, path)
         yield reader.read(name), focal
 
 
-def _instants(
+def _challenge_instants(
     instants: Mapping[str, int], wanted: Sequence[tuple[str, str]], name: str, path: Path
 ) -> list[tuple[int, str]]:
+    """Return (instant, agent) pairs of the *wanted* (agent, sample) pairs."""
     unknown = next((sample for _, sample in wanted if sample not in instants), None)
     if unknown is not None:
         problem = f"the prediction challenge names sample {unknown}, which {name} does not have"
@@ -230,26 +242,26 @@ def _instants(
     return [(instants[sample], instance) for instance, sample in wanted]
 
 
-def _placed(out: Path, placed: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
+def _with_paths(out: Path, files: Mapping[str, WindowFile]) -> Iterator[tuple[Path, WindowFile]]:
+    """Yield (path, windows) of the files to write: *out* itself, or one file for each net in the folder *out*."""
     if out.suffix == SUFFIX:
-        if len(placed) > 1:
+        if len(files) > 1:
             raise ConfigError(
-                f"--out {out}: the drives are on {len(placed)} nets ({', '.join(sorted(placed))}) and a file holds "
+                f"--out {out}: the drives are on {len(files)} nets ({', '.join(sorted(files))}) and a file holds "
                 "one; name a folder"
             )
         make_folder(out.parent)
-        yield out, next(iter(placed.values()))
+        yield out, next(iter(files.values()))
         return
     make_folder(out)
-    yield from ((out / f"{name}{SUFFIX}", placed[name]) for name in sorted(placed))
+    yield from ((out / f"{name}{SUFFIX}", files[name]) for name in sorted(files))
 
 
-def _nothing(logs: Sequence[tuple[Path, LogReader]], nets: LogNets, built: Built) -> str:
+def _why_none(logs: Sequence[tuple[Path, LogReader]], nets: LogNets, built: Built) -> str:
+    """Return why there are no windows at all, as a sentence."""
     first = logs[0][0]
     if not built.drives and not nets.given and nets.converted is None:
         return f"{first}: no net was given for its drives; name one with --net, or add --convert"
-    reasons = Counter(one.reason for one in built.skipped)
-    hindrances = "; ".join(
-        f"{count} of {reasons.total()}: {reason}" for reason, count in reasons.most_common(3)
-    )
-    return f"{first}: none of the {reasons.total()} drives gives a window ({hindrances})"
+    reasons = Counter(skipped.reason for skipped in built.skipped)
+    listed = "; ".join(f"{count} of {reasons.total()}: {reason}" for reason, count in reasons.most_common(3))
+    return f"{first}: none of the {reasons.total()} drives gives a window ({listed})"

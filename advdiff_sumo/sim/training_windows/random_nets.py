@@ -1,4 +1,4 @@
-"""Random nets to simulate traffic on: streets of netgenerate, bent and given mixed junctions, and motorways."""
+"""Make random nets for simulations: motorways, and netgenerate's streets with curves and mixed junctions."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from advdiff_sumo.sim.training_windows.motorway import motorway_plan
 from advdiff_sumo.sim.training_windows.street_plan import PlanEdge, StreetPlan, bend
 
 KINDS = ("grid", "rand", "spider", "grid", "motorway", "rand", "grid", "spider")
-"""Kinds of the nets that are made up one after the other."""
+"""Kinds of consecutive random nets."""
 _TIMEOUT_S = 120
 _JUNCTIONS = ("priority", "traffic_light", "right_before_left", "allway_stop", "priority_stop")
 _SPEEDS_MPS = (8.33, 11.11, 13.89, 16.67, 19.44)
 _ROUNDABOUT_SHARE = 0.12
-_SPREAD_M = 10.0
-_WAVES_M = ((140.0, 500.0), (700.0, 2000.0))  # streets, motorways
+_MAX_NODE_SPREAD_M = 10.0  # standard deviation by which nodes are moved
+_WAVELENGTHS_M = ((140.0, 500.0), (700.0, 2000.0))  # of curves: of streets, of motorways
 
 
 def write_random_net(kind: str, seed: SeedTree, path: Path) -> Path:
-    """Write a net of one of :data:`KINDS` that depends on *seed* alone to *path*; a third drive on the left.
+    """Write a net of one of :data:`KINDS` to *path*; it depends on *seed* alone. A third have left-hand traffic.
 
     Raises:
         NetError: netgenerate or netconvert refused.
@@ -42,14 +42,14 @@ def write_random_net(kind: str, seed: SeedTree, path: Path) -> Path:
         if kind == "motorway":
             plan = motorway_plan(rng, lefthand)
         else:
-            plan = _streets(_generated(kind, seed, rng, folder), rng, lefthand)
-        bend(plan, rng, _WAVES_M[kind == "motorway"])
+            plan = _draw_streets(_generate(kind, seed, rng, folder), rng, lefthand)
+        bend(plan, rng, _WAVELENGTHS_M[kind == "motorway"])
         _convert(plan, folder, path, lefthand, rng)
     return path
 
 
-def _generated(kind: str, seed: SeedTree, rng: np.random.Generator, folder: Path) -> StreetPlan:
-    """Return nodes and streets as netgenerate laid them out."""
+def _generate(kind: str, seed: SeedTree, rng: np.random.Generator, folder: Path) -> StreetPlan:
+    """Return nodes and streets of netgenerate, with the nodes moved at random."""
     prefix = folder / "laid"
     options = {
         "grid": _grid_options,
@@ -57,20 +57,22 @@ def _generated(kind: str, seed: SeedTree, rng: np.random.Generator, folder: Path
         "rand": _rand_options,
     }[kind](rng)
     options |= {"seed": str(seed.child("netgenerate").integer()), "plain-output-prefix": str(prefix)}
-    _call("netgenerate", [f"--{kind}", *(f"--{k}={v}" for k, v in options.items())], prefix)
-    spread = rng.uniform(0.0, _SPREAD_M)
+    _run_tool("netgenerate", [f"--{kind}", *(f"--{k}={v}" for k, v in options.items())], prefix)
+    spread_m = rng.uniform(0.0, _MAX_NODE_SPREAD_M)
     nodes = {
-        e.attrib["id"]: np.array([float(e.attrib["x"]), float(e.attrib["y"])]) + rng.normal(0.0, spread, 2)
-        for e in _elements(folder / "laid.nod.xml", "node")
+        element.attrib["id"]: np.array([float(element.attrib["x"]), float(element.attrib["y"])])
+        + rng.normal(0.0, spread_m, 2)
+        for element in _elements(folder / "laid.nod.xml", "node")
     }
     edges = [
-        PlanEdge(e.attrib["id"], e.attrib["from"], e.attrib["to"])
-        for e in _elements(folder / "laid.edg.xml", "edge")
+        PlanEdge(element.attrib["id"], element.attrib["from"], element.attrib["to"])
+        for element in _elements(folder / "laid.edg.xml", "edge")
     ]
     return StreetPlan(nodes, edges)
 
 
 def _grid_options(rng: np.random.Generator) -> dict[str, str]:
+    """Return random options of netgenerate for a grid."""
     return {
         "grid.x-number": str(rng.integers(3, 6)),
         "grid.y-number": str(rng.integers(3, 5)),
@@ -81,6 +83,7 @@ def _grid_options(rng: np.random.Generator) -> dict[str, str]:
 
 
 def _spider_options(rng: np.random.Generator) -> dict[str, str]:
+    """Return random options of netgenerate for a spider's web."""
     return {
         "spider.arm-number": str(rng.integers(4, 8)),
         "spider.circle-number": str(rng.integers(2, 4)),
@@ -90,6 +93,7 @@ def _spider_options(rng: np.random.Generator) -> dict[str, str]:
 
 
 def _rand_options(rng: np.random.Generator) -> dict[str, str]:
+    """Return random options of netgenerate for a random street pattern."""
     return {
         "rand.iterations": str(rng.integers(25, 60)),
         "rand.min-distance": f"{rng.uniform(60, 100):.0f}",
@@ -99,42 +103,47 @@ def _rand_options(rng: np.random.Generator) -> dict[str, str]:
     }
 
 
-def _streets(plan: StreetPlan, rng: np.random.Generator, lefthand: bool) -> StreetPlan:
-    """Give streets lanes and limits, junctions their kind, and build some as roundabouts."""
-    usual = int(rng.choice((1, 2, 3), p=(0.45, 0.4, 0.15)))
-    limit = float(rng.choice(_SPEEDS_MPS[1:4]))
-    drawn: dict[frozenset[str], tuple[int, float]] = {}
+def _draw_streets(plan: StreetPlan, rng: np.random.Generator, lefthand: bool) -> StreetPlan:
+    """Draw lanes and speed limits of streets and the types of junctions; make some junctions roundabouts."""
+    usual_lanes = int(rng.choice((1, 2, 3), p=(0.45, 0.4, 0.15)))
+    usual_limit_mps = float(rng.choice(_SPEEDS_MPS[1:4]))
+    lanes_and_limit: dict[frozenset[str], tuple[int, float]] = {}
     for edge in plan.edges:
         street = frozenset((edge.start, edge.end))
-        if street not in drawn:
-            other = rng.random() < 0.35
-            lanes = int(rng.choice((1, 2, 3), p=(0.5, 0.35, 0.15))) if other else usual
-            drawn[street] = lanes, float(rng.choice(_SPEEDS_MPS)) if other else limit
-        edge.lanes, edge.speed_mps = drawn[street]
+        if street not in lanes_and_limit:
+            is_unusual = rng.random() < 0.35
+            lanes = int(rng.choice((1, 2, 3), p=(0.5, 0.35, 0.15))) if is_unusual else usual_lanes
+            lanes_and_limit[street] = lanes, float(rng.choice(_SPEEDS_MPS)) if is_unusual else usual_limit_mps
+        edge.lanes, edge.speed_mps = lanes_and_limit[street]
         edge.priority = 2 * edge.lanes + int(edge.speed_mps > 12.0)
     shares = rng.dirichlet((1.2, 1.2, 0.5, 0.3, 0.3))
-    arms = defaultdict(set)
+    neighbours = defaultdict(set)
     for edge in plan.edges:
-        arms[edge.start].add(edge.end)
-        arms[edge.end].add(edge.start)
-    for node in sorted(arms):
-        if len(arms[node]) > 2:
+        neighbours[edge.start].add(edge.end)
+        neighbours[edge.end].add(edge.start)
+    for node in sorted(neighbours):
+        if len(neighbours[node]) > 2:
             plan.types[node] = str(rng.choice(_JUNCTIONS, p=shares))
-            if len(arms[node]) <= 4 and rng.random() < _ROUNDABOUT_SHARE:
-                _roundabout(plan, node, rng, lefthand)
+            if len(neighbours[node]) <= 4 and rng.random() < _ROUNDABOUT_SHARE:
+                _make_roundabout(plan, node, rng, lefthand)
     return plan
 
 
-def _roundabout(plan: StreetPlan, node: str, rng: np.random.Generator, lefthand: bool) -> None:
-    """Replace *node* by a ring with one node an arm."""
+def _make_roundabout(plan: StreetPlan, node: str, rng: np.random.Generator, lefthand: bool) -> None:
+    """Replace *node* by a ring with one node for each arm, if its arms are long enough and far enough apart."""
     centre, radius = plan.nodes[node], rng.uniform(13.0, 20.0)
-    touching = [e for e in plan.edges if node in (e.start, e.end)]
-    far = {e.id: plan.nodes[e.end if e.start == node else e.start] - centre for e in touching}
-    if min(float(np.hypot(*d)) for d in far.values()) < 3.0 * radius:
+    incident_edges = [street for street in plan.edges if node in (street.start, street.end)]
+    offsets = {
+        street.id: plan.nodes[street.end if street.start == node else street.start] - centre
+        for street in incident_edges
+    }
+    if min(float(np.hypot(*offset)) for offset in offsets.values()) < 3.0 * radius:
         return
     angles = {
-        (e.end if e.start == node else e.start): float(np.arctan2(far[e.id][1], far[e.id][0]))
-        for e in touching
+        (street.end if street.start == node else street.start): float(
+            np.arctan2(offsets[street.id][1], offsets[street.id][0])
+        )
+        for street in incident_edges
     }
     order = sorted(angles, key=lambda arm: -angles[arm] if lefthand else angles[arm])
     gaps = np.diff(sorted(angles.values()))
@@ -143,25 +152,28 @@ def _roundabout(plan: StreetPlan, node: str, rng: np.random.Generator, lefthand:
     ring = {arm: f"{node}r{k}" for k, arm in enumerate(order)}
     for arm in order:
         plan.nodes[ring[arm]] = centre + radius * np.array([np.cos(angles[arm]), np.sin(angles[arm])])
-    for edge in touching:
+    for edge in incident_edges:
         if edge.start == node:
             edge.start = ring[edge.end]
         else:
             edge.end = ring[edge.start]
-    lanes = 2 if max(e.lanes for e in touching) > 1 and rng.random() < 0.4 else 1
-    turn = -1.0 if lefthand else 1.0
-    for here, there in zip(order, order[1:] + order[:1], strict=True):
-        sweep = (turn * (angles[there] - angles[here])) % (2.0 * np.pi)
-        along = angles[here] + turn * np.linspace(0.0, sweep, max(3, round(sweep / 0.3)))
-        shape = centre + radius * np.column_stack((np.cos(along), np.sin(along)))
+    lanes = 2 if max(street.lanes for street in incident_edges) > 1 and rng.random() < 0.4 else 1
+    turn_sign = -1.0 if lefthand else 1.0
+    for start_arm, end_arm in zip(order, order[1:] + order[:1], strict=True):
+        sweep = (turn_sign * (angles[end_arm] - angles[start_arm])) % (2.0 * np.pi)
+        ring_angles = angles[start_arm] + turn_sign * np.linspace(0.0, sweep, max(3, round(sweep / 0.3)))
+        shape = centre + radius * np.column_stack((np.cos(ring_angles), np.sin(ring_angles)))
         plan.edges.append(
-            PlanEdge(f"{ring[here]}-{ring[there]}", ring[here], ring[there], lanes, 8.33, 20, shape)
+            PlanEdge(
+                f"{ring[start_arm]}-{ring[end_arm]}", ring[start_arm], ring[end_arm], lanes, 8.33, 20, shape
+            )
         )
     del plan.nodes[node]
     plan.types.pop(node, None)
 
 
 def _convert(plan: StreetPlan, folder: Path, path: Path, lefthand: bool, rng: np.random.Generator) -> None:
+    """Build the net of *plan* with netconvert and random options."""
     files = plan.write(folder, width_m=float(rng.uniform(3.0, 3.7)))
     options = {
         **{name: str(file) for name, file in files.items()},
@@ -180,11 +192,16 @@ def _convert(plan: StreetPlan, folder: Path, path: Path, lefthand: bool, rng: np
         "xml-validation": "never",
         "precision": "3",
     }
-    _call("netconvert", [f"--{k}={v}" for k, v in sorted(options.items())], path)
+    _run_tool("netconvert", [f"--{k}={v}" for k, v in sorted(options.items())], path)
     drop_header(path)
 
 
-def _call(program: str, options: Sequence[str], net: Path) -> None:
+def _run_tool(program: str, options: Sequence[str], net: Path) -> None:
+    """Run one of SUMO's programs.
+
+    Raises:
+        NetError: it failed; *net* is named in the message.
+    """
     command = [sumolib.checkBinary(program), *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     if done.returncode != 0:
@@ -193,5 +210,6 @@ def _call(program: str, options: Sequence[str], net: Path) -> None:
 
 
 def _elements(path: Path, tag: str) -> list[ET.Element]:
+    """Return the elements called *tag* in an XML file."""
     root = parse_xml(path).getroot()
     return [] if root is None else list(root.iterfind(tag))

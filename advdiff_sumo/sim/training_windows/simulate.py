@@ -1,4 +1,4 @@
-"""Window files out of natural SUMO traffic on many nets: planned, made by workers, kept when complete."""
+"""Make window files from natural SUMO traffic on many nets: plan them, let workers make them, keep complete ones."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ from advdiff_sumo.sim.training_windows.handback import DrivingModel, record_hand
 from advdiff_sumo.sim.training_windows.random_nets import KINDS, write_random_net
 from advdiff_sumo.sim.training_windows.simulation_run import Recording, cut, record
 
-SHARD_WINDOWS, RUN_WINDOWS = 300, 200
-_MOST_RUNS, _NET_TRIES = 8, 5
+SHARD_WINDOWS = 300  # average number in a file
+RUN_WINDOWS = 200  # largest number from one simulation
+_MAX_RUNS = 8  # simulations for one file
+_MAX_NET_ATTEMPTS = 5
 _NETS = "nets"
 
 
@@ -37,13 +39,13 @@ class SimulateOptions(Options):
     """What to simulate.
 
     Attributes:
-        windows: how many windows in all.
+        windows: total number of windows.
         nets: nets given by path or shipped name.
-        random_share: share of the windows that come from nets made up for them.
-        view: how much of the map the windows show.
-        driven_by: weights, by path or shipped name, of a model that drives before SUMO's drivers take over; "": they
-            drive all the time.
-        seed: same seed, same bytes.
+        random_share: share of the windows that come from random nets.
+        view: how much of the map the windows contain.
+        driven_by: weights, by path or shipped name, of a model that drives before SUMO's drivers take over; "": SUMO
+            drives all the time.
+        seed: the same seed gives the same bytes.
     """
 
     windows: int = Field(24_000, ge=1)
@@ -60,12 +62,12 @@ class Shard:
 
     Attributes:
         name: of the file, without suffix.
-        net: file of the net; None for one to be made up.
-        kind: of the net to be made up; "" for a given one.
+        net: file of the net; None: a random one is made.
+        kind: of the random net; "" for a given one.
         seed: the shard's node of the seed tree.
         windows: how many.
-        view: how much of the map they show.
-        model: that drives before SUMO's drivers take over; None: they drive all the time.
+        view: how much of the map they contain.
+        model: drives before SUMO's drivers take over; None: SUMO drives all the time.
     """
 
     name: str
@@ -78,7 +80,7 @@ class Shard:
 
     @property
     def recipe(self) -> str:
-        """What the file's bytes depend on, as text in its header."""
+        """Everything on which the file's bytes depend, as text in its header."""
         net = "random" if self.net is None else _identity(self.net)
         view = [] if self.view == "near" else [self.view]
         driver = [] if self.model is None else [f"driven by {self.model.digest}"]
@@ -95,7 +97,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """What became of a shard: its windows, or why it failed."""
+    """Result of a shard: the number of its windows, or why it failed."""
 
     shard: Shard
     windows: int
@@ -103,27 +105,27 @@ class ShardResult:
 
 
 def plan(options: SimulateOptions) -> list[Shard]:
-    """Return the shards of *options*, given and made-up nets in turn.
+    """Return the shards of *options*, on given and random nets in turn.
 
     Raises:
         NetError: a net does not exist or cannot be used.
-        WeightsError: there are no such weights, or a model that cannot drive.
+        WeightsError: there are no such weights, or their model cannot drive.
     """
     model = DrivingModel.read(options.driven_by) if options.driven_by else None
-    nets = [find_net(net) for net in options.nets] if options.random_share < 1.0 else []
-    for given in nets:
-        RoadMap.read(given)
+    nets = [find_net(shard_net) for shard_net in options.nets] if options.random_share < 1.0 else []
+    for net in nets:
+        RoadMap.read(net)
     if not nets and options.random_share < 1.0:
         raise NetError(Path("--net"), "no net was given", "name one, or ask for made-up nets alone")
     count = max(1, round(options.windows / SHARD_WINDOWS))
     sizes = [options.windows * (k + 1) // count - options.windows * k // count for k in range(count)]
     seed, shards = SeedTree(options.seed).child("simulate"), list[Shard]()
     for number, size in enumerate(sizes):
-        before, after = (int(n * options.random_share + 1e-9) for n in (number, number + 1))
-        net = None if after > before else nets[(number - before) % len(nets)]
-        kind = KINDS[before % len(KINDS)] if net is None else ""
-        name = f"{kind if net is None else base_name(net)}-{options.seed}-{number:04d}"
-        shards.append(Shard(name, net, kind, seed.child(number), size, options.view, model))
+        random_before, random_after = (int(n * options.random_share + 1e-9) for n in (number, number + 1))
+        shard_net = None if random_after > random_before else nets[(number - random_before) % len(nets)]
+        kind = KINDS[random_before % len(KINDS)] if shard_net is None else ""
+        name = f"{kind if shard_net is None else base_name(shard_net)}-{options.seed}-{number:04d}"
+        shards.append(Shard(name, shard_net, kind, seed.child(number), size, options.view, model))
     return shards
 
 
@@ -134,22 +136,24 @@ def simulate(
 
     Args:
         shards: see :func:`plan`.
-        out: folder of the files; made-up nets are kept in its sub-folder ``nets``.
-        workers: processes; they do not change a byte.
-        tell: called with each shard as it is finished or found.
+        out: folder of the files; random nets are kept in its sub-folder ``nets``.
+        workers: number of processes; the files do not depend on it.
+        tell: called with each shard when it is finished or was found complete.
 
     Returns:
         All shards in their order.
 
     Raises:
-        InputError: *out* cannot be made, or holds files made with other options.
+        InputError: *out* cannot be made, or contains files made with other options.
         SimulationError: shards failed; the others are complete.
     """
-    done = {shard.name: ShardResult(shard, count) for shard in shards if (count := _complete(shard, out))}
+    done = {
+        shard.name: ShardResult(shard, count) for shard in shards if (count := _complete_windows(shard, out))
+    }
     make_folder(out / _NETS)
     for result in done.values():
         tell(result)
-    for result in _made([s for s in shards if s.name not in done], out, workers):
+    for result in _make_shards([s for s in shards if s.name not in done], out, workers):
         done[result.shard.name] = result
         tell(result)
     results = [done[shard.name] for shard in shards]
@@ -161,7 +165,8 @@ def simulate(
     return results
 
 
-def _made(shards: list[Shard], out: Path, workers: int) -> Iterator[ShardResult]:
+def _make_shards(shards: list[Shard], out: Path, workers: int) -> Iterator[ShardResult]:
+    """Make *shards* on worker processes and yield the results as they finish."""
     for shard, done in futures_of(((shard, (make_shard, shard, out)) for shard in shards), workers):
         try:
             yield ShardResult(shard, done.result())
@@ -176,35 +181,35 @@ def make_shard(shard: Shard, out: Path) -> int:
         SimulationError: SUMO stopped, or the net never has traffic.
         NetError: the net cannot be used.
     """
-    road = _road(_random_net(shard, out) if shard.net is None else shard.net)
+    road = _road(_make_random_net(shard, out) if shard.net is None else shard.net)
     table = road.pieces(shard.view)
-    extra = {"recipe": shard.recipe, "net": _said(shard)}
+    extra = {"recipe": shard.recipe, "net": _net_text(shard)}
     if shard.model is not None:
         extra[DRIVEN] = shard.model.digest
     builder = WindowFileBuilder(table, road.name, "advdiff-sumo data simulate", extra)
-    share = min(RUN_WINDOWS, -(-shard.windows // 2))
-    for run in range(_MOST_RUNS):
+    run_windows = min(RUN_WINDOWS, -(-shard.windows // 2))
+    for run in range(_MAX_RUNS):
         seed = shard.seed.child("run", run)
         windows = [
             window
             for number, recording in enumerate(shard.stretches(road, run))
             for window in cut(recording, table, seed.child(number) if number else seed, f"{shard.name}-{run}")
         ]
-        wanted = min(share, shard.windows - len(builder.windows))
+        wanted = min(run_windows, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()
         picked = sorted(rng.permutation(len(windows))[:wanted].tolist())
         builder.windows += [windows[k] for k in picked]
         if len(builder.windows) == shard.windows:
             break
     if not builder.windows:
-        raise SimulationError(f"{road.path}: {_MOST_RUNS} simulations brought no window with moving traffic")
+        raise SimulationError(f"{road.path}: {_MAX_RUNS} simulations brought no window with moving traffic")
     write_windows(out / f"{shard.name}{SUFFIX}", builder.build())
     return len(builder.windows)
 
 
 @lru_cache(maxsize=64)
 def _identity(net: Path) -> str:
-    """Return what tells *net* from others: the name of a shipped one, else its file's name and the digest of it."""
+    """Return text that identifies *net*: the name of a shipped net, else the file's name and a digest of it."""
     if any(net == find_net(name) for name in NETS_BY_NAME):
         return net.name
     sidecar = sidecar_of(net)
@@ -212,13 +217,15 @@ def _identity(net: Path) -> str:
     return f"{net.name} {hashlib.sha256(content).hexdigest()[:16]}"
 
 
-def _said(shard: Shard) -> str:
+def _net_text(shard: Shard) -> str:
+    """Return the net's name in the header of the shard's file."""
     return shard.net.name if shard.net is not None else f"{_NETS}/{shard.name}.net.xml"
 
 
-def _random_net(shard: Shard, out: Path) -> Path:
+def _make_random_net(shard: Shard, out: Path) -> Path:
+    """Write the random net of *shard* and return its path; repeat the draw while traffic could not circulate on it."""
     path = out / _NETS / f"{shard.name}.net.xml"
-    for attempt in range(_NET_TRIES):
+    for attempt in range(_MAX_NET_ATTEMPTS):
         seed = shard.seed.child("net", *((attempt,) if attempt else ()))
         try:
             road = RoadMap.read(write_random_net(shard.kind, seed, path))
@@ -234,8 +241,8 @@ def _road(path: Path) -> RoadMap:
     return RoadMap.read(path)
 
 
-def _complete(shard: Shard, out: Path) -> int:
-    """Return the number of windows in the shard's file; 0 when it is yet to be made."""
+def _complete_windows(shard: Shard, out: Path) -> int:
+    """Return the number of windows in the shard's file; 0 if it is still to be made."""
     path = out / f"{shard.name}{SUFFIX}"
     if not path.exists():
         return 0

@@ -1,4 +1,4 @@
-"""One simulation run of natural traffic, cut into windows."""
+"""Simulate natural traffic once and cut the recording into windows."""
 
 from __future__ import annotations
 
@@ -24,14 +24,19 @@ from advdiff_sumo.sim.training_windows.mixed_demand import PARKED, write_mixed_d
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 WARMUP_S, RECORD_S = 16.0, 28.0
-_EVERY_S = 1.5
-_MOST_FOCAL = 24
-_MOVING_M = 1.0
-_STILL_KEPT = 0.1
+_WINDOW_SPACING_S = 1.5
+_MAX_FOCAL = 24  # focal agents in a window
+_MOVING_M = 1.0  # an agent moves if it covers more than this, or its speed in m/s is above it
+# A window counts as standing with fewer moving agents than this number, or than this share.
 _MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12
-_LIMITS, _GRIP = Limits(), 1.7
-_TIGHTEST_1PM, _SHORT_WAY_M = 0.3, 0.3
-_MOST_ASIDE_M, _MOST_ASTRAY_M = 0.9, 1.2  # in half a second
+_STANDING_KEPT_SHARE = 0.1  # share of the standing windows that is kept
+# Windows with motion beyond these limits are left out.
+_LIMITS = Limits()
+_GRIP_FACTOR = 1.7  # on the limit of lateral acceleration
+_MAX_CURVATURE_1PM = 0.3
+_MIN_ARC_M = 0.3  # in the curvature, a vehicle counts as moving at least so far
+_MAX_SIDESLIP_M = 0.9  # in half a second
+_MAX_SPEED_ERROR_M = 1.2  # difference between distance and mean speed × time, in half a second
 
 
 @dataclass(frozen=True)
@@ -40,11 +45,11 @@ class Recording:
 
     Attributes:
         tracks: (A, L) states.
-        parked: (A,) whether the vehicle stands at the kerb throughout.
+        parked: (A,) whether the vehicle is parked throughout.
         signals: L mappings, traffic light → state string.
         instants: at which windows may be cut.
         focal: (A, L) which vehicles may be focal.
-        expert: (A, L) whose states SUMO's drivers led to; what others did is no future to learn.
+        expert: (A, L) which states result from SUMO's drivers; futures to be learnt have no others.
     """
 
     tracks: Tracks
@@ -56,7 +61,7 @@ class Recording:
 
 
 def record(road: RoadMap, seed: SeedTree) -> Recording:
-    """Return 28 s of natural traffic on *road* after 16 s of warm-up; *seed* decides all.
+    """Return 28 s of natural traffic on *road* after 16 s of warm-up; *seed* decides everything.
 
     Raises:
         SimulationError: SUMO refused the net or stopped.
@@ -68,108 +73,113 @@ def record(road: RoadMap, seed: SeedTree) -> Recording:
         )
         options = SessionOptions(net=road.path, seed=seed.child("sumo").integer(), routes=(demand,))
         with Session(options) as session:
-            return _recorded(session)
+            return _record_session(session)
 
 
-def _recorded(session: Session) -> Recording:
+def _record_session(session: Session) -> Recording:
+    """Record the traffic of a running simulation."""
     world = World(512)
     frames: list[Frame] = []
     signals: list[Mapping[str, str]] = []
-    lights = sorted(session.api.trafficlight.getIDList())
+    light_ids = sorted(session.api.trafficlight.getIDList())
     session.step(WARMUP_S)
     for number in range(round(RECORD_S / DT_S) + 1):
         session.step(WARMUP_S + DT_S * (number + 1))
         register(world, session.api, sorted(set(session.api.vehicle.getIDList()) - world.index.keys()))
         world.remove(read(world, session.api, ()))
         frames.append(world.frame())
-        signals.append({name: session.api.trafficlight.getRedYellowGreenState(name) for name in lights})
+        signals.append({name: session.api.trafficlight.getRedYellowGreenState(name) for name in light_ids})
     rows = np.arange(len(world))
     tracks, _ = stack(world, frames, rows, 0.0, DT_S)
-    named = np.array([name.startswith(PARKED) for name in tracks.ids], dtype=np.bool_)
-    parked = named & (_extent_m(tracks.xy_m) < 0.5)
-    instants = tuple(range(PAST - 1, tracks.steps - FUTURE, round(_EVERY_S / DT_S)))
+    has_parked_name = np.array([name.startswith(PARKED) for name in tracks.ids], dtype=np.bool_)
+    parked = has_parked_name & (_extent_m(tracks.xy_m) < 0.5)
+    instants = tuple(range(PAST - 1, tracks.steps - FUTURE, round(_WINDOW_SPACING_S / DT_S)))
     focal = tracks.valid & ~parked[:, None]
     return Recording(tracks, parked, tuple(signals), instants, focal, tracks.valid)
 
 
 def _extent_m(xy_m: FloatArray) -> FloatArray:
-    """Return how far apart (A,) the positions (A, L, 2) of each agent lie, at most, along x or y."""
+    """Return (A,) how far apart the positions (A, L, 2) of each agent are, at most, along x or y."""
     low = np.where(np.isnan(xy_m), np.inf, xy_m).min(axis=1, initial=np.inf)
     high = np.where(np.isnan(xy_m), -np.inf, xy_m).max(axis=1, initial=-np.inf)
     return np.asarray(np.maximum(high - low, 0.0).max(axis=1))
 
 
 def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
-    """Yield windows of *recording*: at its instants some focal vehicles whose crops overlap little.
+    """Yield windows of *recording*: at each of its instants, some focal vehicles whose crops overlap little.
 
-    Focal vehicles are drawn, moving ones first. Windows in which hardly anybody moves are thinned. Left out
-    are those in which boxes overlap, as SUMO's lane model allows where a driver would not, and those in which
-    a vehicle does what none can: SUMO turns and shifts vehicles sideways while they stand.
+    Focal vehicles are drawn, moving ones first. Most windows in which hardly any vehicle moves are left out. Windows
+    with overlapping boxes, which SUMO's lane model allows, are left out. So are windows with impossible motion: SUMO
+    turns standing vehicles and shifts them sideways.
     """
     rng = seed.child("windows").generator()
     tracks = recording.tracks
     for now in recording.instants:
         moving = _moving(tracks, now)
         order = _focal_order(recording, now, moving, rng)
-        for rows in crops(tracks.xy_m[:, now], order, _MOST_FOCAL):
-            busy = moving[rows]
-            still = busy.sum() < _MIN_MOVING or busy.mean() < _MIN_MOVING_SHARE
-            if (still and rng.random() >= _STILL_KEPT) or _touching(tracks, rows, now):
+        for rows in crops(tracks.xy_m[:, now], order, _MAX_FOCAL):
+            is_moving = moving[rows]
+            is_standing = is_moving.sum() < _MIN_MOVING or is_moving.mean() < _MIN_MOVING_SHARE
+            if (is_standing and rng.random() >= _STANDING_KEPT_SHARE) or _has_overlaps(tracks, rows, now):
                 continue
-            if not _drivable(tracks, rows, now):
+            if not _is_drivable(tracks, rows, now):
                 continue
             window = window_arrays(tracks, now, rows, recording.parked, table, recording.signals[now], name)
-            yield _learnable(window, recording.expert[rows, now + 1 : now + 1 + FUTURE])
+            yield _with_expert_future(window, recording.expert[rows, now + 1 : now + 1 + FUTURE])
 
 
-def _learnable(window: WindowArrays, expert: BoolArray) -> WindowArrays:
-    """Return *window* with futures that end where they are no longer an *expert*'s (A, T)."""
-    known = window.future_valid & np.logical_and.accumulate(expert, axis=1)
-    return replace(window, future=np.where(known[..., None], window.future, 0.0), future_valid=known)
+def _with_expert_future(window: WindowArrays, expert: BoolArray) -> WindowArrays:
+    """Return *window* with futures that end at the first state that is not an *expert*'s (A, T)."""
+    is_valid = window.future_valid & np.logical_and.accumulate(expert, axis=1)
+    return replace(window, future=np.where(is_valid[..., None], window.future, 0.0), future_valid=is_valid)
 
 
 def _moving(tracks: Tracks, now: int) -> BoolArray:
-    """Return which agents (A,) move by a metre or more in the 6 s that follow, or are fast now."""
+    """Return (A,) which agents move by a metre or more in the coming 6 s, or are fast now."""
     span = tracks.xy_m[:, now : now + FUTURE + 1]
     with np.errstate(invalid="ignore"):
         return np.asarray((_extent_m(span) > _MOVING_M) | (tracks.speed_mps[:, now] > _MOVING_M))
 
 
 def _focal_order(recording: Recording, now: int, moving: BoolArray, rng: np.random.Generator) -> IntArray:
-    """Return the vehicles that may be focal at instant *now* in a random order, moving ones mostly first."""
+    """Return the vehicles that may be focal at instant *now* in a random order, mostly moving ones first."""
     tracks = recording.tracks
-    there = recording.focal[:, now] & tracks.valid[:, now + 1]
-    order = rng.permutation(np.flatnonzero(there))
+    is_usable = recording.focal[:, now] & tracks.valid[:, now + 1]
+    order = rng.permutation(np.flatnonzero(is_usable))
     return np.asarray(order[np.argsort(~moving[order] & (rng.random(len(order)) < 0.9), kind="stable")])
 
 
-def _touching(tracks: Tracks, rows: IntArray, now: int) -> bool:
-    """Return whether two boxes of the window share area at any of its instants."""
+def _has_overlaps(tracks: Tracks, rows: IntArray, now: int) -> bool:
+    """Return whether two boxes of the window overlap at any of its instants."""
     span = slice(now - PAST + 1, now + FUTURE + 1)
     a, b = np.triu_indices(len(rows), k=1)
     xy, size = tracks.xy_m[rows, span], tracks.size_m[rows]
-    reach = 0.5 * np.linalg.norm(size, axis=-1)
+    radius = 0.5 * np.linalg.norm(size, axis=-1)
     with np.errstate(invalid="ignore"):
-        near = (np.linalg.norm(xy[a] - xy[b], axis=-1) < (reach[a] + reach[b])[:, None]).any(axis=1)
-    if not near.any():
+        is_near = (np.linalg.norm(xy[a] - xy[b], axis=-1) < (radius[a] + radius[b])[:, None]).any(axis=1)
+    if not is_near.any():
         return False
-    a, b = a[near], b[near]
+    a, b = a[is_near], b[is_near]
     boxes = corners(xy, tracks.yaw_rad[rows, span], size[:, None] - 0.2)
     return bool(overlap(boxes[a], boxes[b]).any())
 
 
-def _drivable(tracks: Tracks, rows: IntArray, now: int) -> bool:
-    """Return whether every vehicle of the window moves as a vehicle can."""
+def _is_drivable(tracks: Tracks, rows: IntArray, now: int) -> bool:
+    """Return whether every vehicle of the window moves in a physically possible way."""
     span = slice(now - PAST + 1, now + FUTURE + 1)
     xy, yaw, speed = tracks.xy_m[rows, span], tracks.yaw_rad[rows, span], tracks.speed_mps[rows, span]
     step = np.diff(xy, axis=1)
-    way, turn = np.linalg.norm(step, axis=-1), wrap_angle(np.diff(yaw, axis=1))
-    along = unit(yaw[:, :-1] + 0.5 * turn)
-    ahead = (step * along).sum(-1)
-    aside = np.abs(step[..., 1] * along[..., 0] - step[..., 0] * along[..., 1])
-    bend = np.abs(turn) / np.maximum(way, _SHORT_WAY_M)
+    distance, turn = np.linalg.norm(step, axis=-1), wrap_angle(np.diff(yaw, axis=1))
+    direction = unit(yaw[:, :-1] + 0.5 * turn)
+    forward = (step * direction).sum(-1)
+    sideslip = np.abs(step[..., 1] * direction[..., 0] - step[..., 0] * direction[..., 1])
+    curvature = np.abs(turn) / np.maximum(distance, _MIN_ARC_M)
     with np.errstate(invalid="ignore"):  # NaN compares as False
-        bad = (np.abs(np.diff(speed, axis=1)) > _LIMITS.brake_mps2 * DT_S) | (aside > _MOST_ASIDE_M)
-        bad |= np.abs(ahead - 0.5 * DT_S * (speed[:, 1:] + speed[:, :-1])) > _MOST_ASTRAY_M
-        bad |= (bend > _TIGHTEST_1PM) | (bend * (way / DT_S) ** 2 > _LIMITS.lateral_mps2 * _GRIP)
-    return not bad.any()
+        is_impossible = (np.abs(np.diff(speed, axis=1)) > _LIMITS.brake_mps2 * DT_S) | (
+            sideslip > _MAX_SIDESLIP_M
+        )
+        is_impossible |= np.abs(forward - 0.5 * DT_S * (speed[:, 1:] + speed[:, :-1])) > _MAX_SPEED_ERROR_M
+        is_impossible |= (curvature > _MAX_CURVATURE_1PM) | (
+            curvature * (distance / DT_S) ** 2 > _LIMITS.lateral_mps2 * _GRIP_FACTOR
+        )
+    return not is_impossible.any()

@@ -13,7 +13,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.data.window_files import FUTURE, PAST
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.seed_scene import SeedScene
-from advdiff_sumo.sim.training_windows.handback import driven_in_turn, recorded
+from advdiff_sumo.sim.training_windows.handback import drive_in_turn, recording_of
 from advdiff_sumo.sim.training_windows.simulation_run import Recording, cut
 from tests.sim.scenes import episode
 
@@ -48,7 +48,7 @@ class StopsForGood:
 @pytest.fixture(scope="module")
 def recording(road: RoadMap, scene: SeedScene) -> Recording:
     """One turn of 8 s and one of the drivers that follow."""
-    return driven_in_turn(road, scene, SeedTree(5), StopsForGood(), 1.0, (8.0, 8.0))
+    return drive_in_turn(road, scene, SeedTree(5), StopsForGood(), 1.0, (8.0, 8.0))
 
 
 def test_windows_begin_where_sumo_takes_over_and_shortly_later(
@@ -92,13 +92,13 @@ def test_a_turn_of_sumo_that_ends_early_has_fewer_instants(road: RoadMap, scene:
         loop.start()
         loop.run(40)
         last = len(loop.recorder.model_frames) - 1
-        ended = recorded(loop, [last - 3])
+        ended = recording_of(loop, [last - 3])
     assert ended.instants == ()
     assert ended.focal[:, last - 3].any()
     assert ended.focal.shape[1] == last + 1
 
 
 def test_the_same_seed_gives_the_same_traffic(recording: Recording, road: RoadMap, scene: SeedScene) -> None:
-    again = driven_in_turn(road, scene, SeedTree(5), StopsForGood(), 1.0, (8.0, 8.0))
+    again = drive_in_turn(road, scene, SeedTree(5), StopsForGood(), 1.0, (8.0, 8.0))
     np.testing.assert_array_equal(again.tracks.xy_m, recording.tracks.xy_m)
     np.testing.assert_array_equal(again.expert, recording.expert)

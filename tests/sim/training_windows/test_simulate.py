@@ -17,7 +17,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.training_windows.driver_types import CAR_FOLLOWING, KINDS, driver_types
 from advdiff_sumo.sim.training_windows.random_nets import write_random_net
 from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions, plan, simulate
-from advdiff_sumo.sim.training_windows.simulation_run import _drivable, _touching, record
+from advdiff_sumo.sim.training_windows.simulation_run import _has_overlaps, _is_drivable, record
 
 
 @pytest.mark.parametrize("kind", ["grid", "spider", "rand", "motorway"])
@@ -150,21 +150,21 @@ def cars(**changed: np.ndarray) -> Tracks:
 
 def test_boxes_that_share_area_are_found() -> None:
     rows = np.arange(2)
-    assert not _touching(cars(), rows, 4)
+    assert not _has_overlaps(cars(), rows, 4)
     xy = cars().xy_m.copy()
     xy[1, 12, 1] = 1.55  # the boxes are let in by 10 cm a side
-    assert _touching(cars(xy_m=xy), rows, 4)
+    assert _has_overlaps(cars(xy_m=xy), rows, 4)
     xy[1, 12, 1] = 1.65
-    assert not _touching(cars(xy_m=xy), rows, 4)
+    assert not _has_overlaps(cars(xy_m=xy), rows, 4)
 
 
 def test_what_no_vehicle_can_do_is_found() -> None:
     rows = np.arange(2)
-    assert _drivable(cars(), rows, 4)
+    assert _is_drivable(cars(), rows, 4)
     for name, step, value in (("speed_mps", 8, 4.0), ("yaw_rad", 8, 1.0)):
         values = getattr(cars(), name).copy()
         values[1, step:] = value
-        assert not _drivable(cars(**{name: values}), rows, 4), name
+        assert not _is_drivable(cars(**{name: values}), rows, 4), name
     aside = cars().xy_m.copy()
     aside[0, 9:, 1] += 1.0
-    assert not _drivable(cars(xy_m=aside), rows, 4)
+    assert not _is_drivable(cars(xy_m=aside), rows, 4)

@@ -95,12 +95,7 @@ class Registry:
         return _import(self.kind, canonical)
 
     def factory(self, canonical: str) -> Callable[..., Any]:
-        """Return the class or function that *canonical* means.
-
-        Raises:
-            UnknownNameError: no such built-in or plug-in.
-            ConfigError: it cannot be imported, or is neither class nor function.
-        """
+        """Return the class or function that *canonical* means; errors as in :meth:`load`, or it is neither of both."""
         loaded = self.load(canonical)
         if not callable(loaded):
             raise ConfigError(
@@ -190,10 +185,7 @@ def _import(kind: str, target: str) -> Any:
 
 
 def _class_in_a_file(name: str) -> tuple[Path, str] | None:
-    """Return the file that *name* means, and how a class of it is given; None if there is no such file.
-
-    *name* may be a path, a module, or module.Class.
-    """
+    """Return the file that *name*, a path, module or module.Class, means, and how a class of it is given."""
     module, _, attribute = name.rpartition(".")
     candidates = (
         (name.removesuffix(".py"), "CLASS"),

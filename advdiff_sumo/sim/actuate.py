@@ -32,8 +32,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.world import World
 
 # Values of moveToXY's keepRoute.
-_NEAREST_ON_ROUTE = 1  # the nearest position on the vehicle's own route
-_EXACT_ANY_EDGE = 2  # the exact position, on any edge
+_NEAREST = 1  # the nearest position on the vehicle's own route
+_EXACT = 2  # the exact position, on any edge
 _EXACT_ON_ROUTE = 3  # the exact position, on the vehicle's own route only
 # High enough that the lane's limit never reduces the speed of a moved vehicle.
 _FREE_SPEED_FACTOR, _FREE_MAX_SPEED_MPS = 20.0, 90.0
@@ -130,12 +130,7 @@ class Actuator:
             self._set_size(name, row)
             # keepRoute 0 before departure would reset the route in every later step, whatever setRoute says
             self.api.vehicle.moveToXY(
-                name,
-                "",
-                -1,
-                *bumper.tolist(),
-                angle=float(sumo_from_yaw(heading_rad)),
-                keepRoute=_NEAREST_ON_ROUTE,
+                name, "", -1, *bumper.tolist(), angle=float(sumo_from_yaw(heading_rad)), keepRoute=_NEAREST
             )
         except Exception as error:
             self._cancel_insertion(name)
@@ -150,20 +145,18 @@ class Actuator:
         the lane where it was.
         """
         xy, yaw, length = self.world.xy_m[row], self.world.yaw_rad[row], self.world.size_m[row, 0]
-        last_edges = self._last_edges.pop(row, None)
-        if last_edges is None:
+        edges = self._last_edges.pop(row, None)
+        if edges is None:
             pose = self.road.locate(xy, float(yaw), vclass=vclass, max_distance_m=np.inf)
         else:
             bumper = bumper_from_centre(xy, yaw, length)
-            pose = self.road.locate(
-                bumper, float(yaw), vclass=vclass, max_distance_m=np.inf, route=last_edges
-            )
+            pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf, route=edges)
             if pose is not None and abs(pose.d_m) > 0.5 * self.road.lanes[pose.lane_id].width_m:
                 pose = self.road.locate(bumper, float(yaw), vclass=vclass, max_distance_m=np.inf)
         if pose is None:
             return None
         lane_xy, heading_rad = self.road.to_world(pose.lane_id, pose.s_m)
-        front = bumper_from_centre(lane_xy, heading_rad, length) if last_edges is None else lane_xy
+        front = bumper_from_centre(lane_xy, heading_rad, length) if edges is None else lane_xy
         return pose.lane_id, front, float(heading_rad)
 
     def _edges_at(self, lane_id: str) -> list[str]:
@@ -230,9 +223,9 @@ class Actuator:
         if lane_id not in self.road.lanes:
             return ()
         edge = self.road.edge_of(lane_id if link is None else link.from_lane)
-        return tuple(
-            connected for successor in self.road.edges[edge].successors for connected in (edge, successor)
-        ) or (edge,)
+        return tuple(e for successor in self.road.edges[edge].successors for e in (edge, successor)) or (
+            edge,
+        )
 
     def _on_its_lane(self, row: int) -> bool:
         """Return whether SUMO has the front bumper's centre of *row* within its lane.
@@ -264,10 +257,8 @@ class Actuator:
     def sumo_agrees(self, row: int, lane: str | None, d_m: float) -> bool:
         """Return whether SUMO has *row* on *lane*, *d_m* to its left; where lanes overlap it may be on another one."""
         name = self.world.sumo_ids[row]
-        offset_m = float(self.api.vehicle.getLateralLanePosition(name)) * (
-            -1.0 if self.road.lefthand else 1.0
-        )
-        return self.world.lane[row] == lane and abs(offset_m - d_m) <= _SAME_OFFSET_M
+        left_m = float(self.api.vehicle.getLateralLanePosition(name)) * (-1.0 if self.road.lefthand else 1.0)
+        return self.world.lane[row] == lane and abs(left_m - d_m) <= _SAME_OFFSET_M
 
     def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
         """Put *rows* at poses (N, 2), (N,) in the next step, and remove those from SUMO that leave the lanes.
@@ -292,7 +283,7 @@ class Actuator:
             strict=True,
         )
         for row, (x, y), angle_deg in poses:
-            keep_route = _EXACT_ON_ROUTE if moved[row].route else _EXACT_ANY_EDGE
+            keep_route = _EXACT_ON_ROUTE if moved[row].route else _EXACT
             self.api.vehicle.moveToXY(names[row], "", -1, x, y, angle_deg, keep_route)
 
     def predict_route(self, row: int, route: tuple[str, ...]) -> None:
@@ -350,18 +341,11 @@ def _restore_stops(vehicle: Any, name: str, stops: Sequence[Any]) -> None:
     """Set those of *stops* again that still lie ahead of *name* on its route."""
     for stop in stops:
         edge, _, lane = stop.lane.rpartition("_")
-        stop_or_edge = stop.stoppingPlaceID or edge
+        place = stop.stoppingPlaceID or edge
         # libsumo and traci raise different types for a stop that the vehicle has passed
         with contextlib.suppress(Exception):
             vehicle.setStop(
-                name,
-                stop_or_edge,
-                stop.endPos,
-                int(lane),
-                stop.duration,
-                stop.stopFlags,
-                stop.startPos,
-                stop.until,
+                name, place, stop.endPos, int(lane), stop.duration, stop.stopFlags, stop.startPos, stop.until
             )
 
 

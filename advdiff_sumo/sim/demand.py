@@ -31,14 +31,7 @@ _MEAN_WALK_S = 200.0  # pedestrians present / inflow, by Little's law
 
 @dataclass(frozen=True)
 class Trip:
-    """The departure of one vehicle.
-
-    Attributes:
-        depart_s: time of departure.
-        type_id: vType.
-        route: edges.
-        on_the_way: whether the vehicle is inserted anywhere on its first edge, at speed, to fill the net.
-    """
+    """The departure of one vehicle; if *on_the_way*, anywhere on its first edge and at speed, to fill the net."""
 
     depart_s: float
     type_id: str
@@ -129,15 +122,12 @@ def _trips(
     edges = [edge for edge in sorted(road.edges) if _drivable(road, edge)]
     if not edges:
         raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-    lane_lengths_m = np.array([road.edges[edge].length_m * car_lanes(road, edge) for edge in edges])
-    present = int(np.clip(options.density_per_km * lane_lengths_m.sum() / 1000.0, 4, options.max_vehicles))
+    lane_m = np.array([road.edges[edge].length_m * car_lanes(road, edge) for edge in edges])
+    present = int(np.clip(options.density_per_km * lane_m.sum() / 1000.0, 4, options.max_vehicles))
     sources = [edge for edge in road.source_edges() if _drivable(road, edge)] or edges
     capacity = np.array([road.edges[edge].speed_mps * car_lanes(road, edge) for edge in sources])
     inflow = max(int(present * duration_s / _MEAN_TRIP_S), 1)
-    starts = [
-        (edges[k], 0.0, True)
-        for k in rng.choice(len(edges), present, p=lane_lengths_m / lane_lengths_m.sum())
-    ]
+    starts = [(edges[k], 0.0, True) for k in rng.choice(len(edges), present, p=lane_m / lane_m.sum())]
     entries = rng.choice(len(sources), inflow, p=capacity / capacity.sum())
     departs = np.sort(rng.uniform(0.0, duration_s, size=inflow)).tolist()
     starts += [(sources[k], depart, False) for k, depart in zip(entries, departs, strict=True)]

@@ -20,16 +20,7 @@ _ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}  # tags of element
 
 @dataclass
 class _FileDemand:
-    """What one file contains, as far as it was read.
-
-    Attributes:
-        path: of the file.
-        vehicles: number of vehicles, trips and flows.
-        routes: number of routes.
-        foreign: number of routes with an edge that the net does not have.
-        example: such an edge.
-        first_s: first departure; infinity if none was found.
-    """
+    """What one file contains, as far as it was read; *foreign* routes use edges like *example* that the net lacks."""
 
     path: Path
     vehicles: int = 0
@@ -101,10 +92,7 @@ def _check_file(path: Path, road: RoadMap, begin_s: float) -> _FileDemand:
 
 
 def _element_departure_s(element: Element, begin_s: float) -> float:
-    """Return when *element* first departs, at *begin_s* or later.
-
-    Return infinity if it never does, or if its departure depends on another vehicle.
-    """
+    """Return when *element* first departs, at *begin_s* or later; infinity if never or not at a known time."""
     if element.tag not in _FLOWS:
         depart = seconds(element.get("depart", "0"))
         return math.inf if depart is None or depart < begin_s else depart

@@ -64,8 +64,7 @@ class Loop:
         self.handover = Handover(self.world, self.actuator, self.road, self.sim)
         self.policy_moves_all = moves_everywhere(episode.policy)
         self.target = 0
-
-        self.initial_overlaps: BoolArray | None = None
+        self.old_overlaps: BoolArray | None = None
         self.signals: Mapping[str, str] = {}
         self.target_left = False
         self.entering: set[int] = set()
@@ -95,9 +94,7 @@ class Loop:
         self._make_drive()
         frame = self.world.frame()
         size = self.world.size_m[: len(self.world)]
-        self.initial_overlaps = standing_overlaps(
-            None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target
-        )
+        self.old_overlaps = standing_overlaps(None, frame.xy_m, frame.xy_m, frame.yaw_rad, size, self.target)
         self.recorder.add(frame, self.signals, self.drive.visible())
         scene_now = self.scene_now()
         self.drive.start(self._seen_by_target(scene_now))
@@ -160,14 +157,12 @@ class Loop:
 
     def _plan_background(self, scene: Scene, period: int) -> MovedMotion:
         """Let the policy plan, and return the motion of all background vehicles that are moved until the next plan."""
-        policy_motion = self.background.replan(scene, period)
-        policy_motion = policy_motion.keep(
-            ~np.isin(policy_motion.rows, list(self.world.on_foot)) & self._may_appear(policy_motion)
-        )
+        planned = self.background.replan(scene, period)
+        planned = planned.keep(~np.isin(planned.rows, list(self.world.on_foot)) & self._may_appear(planned))
         self.handover.note_routes(self.background.routes)
-        log_motion = self.context.motion(scene, period)
-        self.replayed = np.setdiff1d(log_motion.rows, policy_motion.rows)
-        motion = MovedMotion.join(policy_motion, log_motion)
+        logged = self.context.motion(scene, period)
+        self.replayed = np.setdiff1d(logged.rows, planned.rows)
+        motion = MovedMotion.join(planned, logged)
         self._leave_scene(self.actuator.refused & self.actuator.outside - set(motion.rows.tolist()))
         routes = self.episode.scene.routes
         plans = self.background.planned.tracks if self.background.planned is not None else None
@@ -180,24 +175,18 @@ class Loop:
         """Return (M,) which vehicles of *motion* are present, appear in the policy's view, or have room to appear."""
         world = self.world
         follows_log = self.background.planned is not None and self.background.planned.exact
-        may_appear = (
-            np.isfinite(world.yaw_rad[motion.rows])
-            | ~motion.valid.any(axis=1)
-            | self.policy_moves_all
-            | follows_log
-        )
+        is_present = np.isfinite(world.yaw_rad[motion.rows])
+        may_appear = is_present | ~motion.valid.any(axis=1) | self.policy_moves_all | follows_log
         if may_appear.all():
             return np.asarray(may_appear)
         new = motion.keep(~may_appear)
         first = new.valid.argmax(axis=1)
         rows = np.arange(len(first))
-        new_states = new.xy_m[rows, first], new.yaw_rad[rows, first], new.speed_mps[rows, first]
-        in_view = (
-            np.linalg.norm(new_states[0] - world.xy_m[self.target], axis=-1) <= self.sim.observe_radius_m
-        )
+        states = new.xy_m[rows, first], new.yaw_rad[rows, first], new.speed_mps[rows, first]
+        in_view = np.linalg.norm(states[0] - world.xy_m[self.target], axis=-1) <= self.sim.observe_radius_m
         count = len(world)
         present_states = world.xy_m[:count], world.yaw_rad[:count], world.speed_mps[:count]
-        may_appear[~may_appear] = in_view | have_room(new_states, present_states)
+        may_appear[~may_appear] = in_view | have_room(states, present_states)
         return np.asarray(may_appear)
 
     def _leave_scene(self, rows: set[int]) -> None:
@@ -225,28 +214,22 @@ class Loop:
 
     def _move(self, motion: MovedMotion, k: int) -> None:
         """Put all moved vehicles where *motion* has them at substep *k*; remove those that are gone by then."""
-        is_present = motion.valid[:, k]
-        for row in motion.rows[~is_present].tolist():
+        valid = motion.valid[:, k]
+        for row in motion.rows[~valid].tolist():
             if row in self.actuator.controlled_rows:
                 self.actuator.remove(row)
                 self.world.remove([row])
         if self.awaited_from_demand:
-            is_present = is_present & ~np.isin(
-                motion.rows, list(self.awaited_from_demand - self.world.had_in_sumo)
-            )
-        rows = motion.rows[is_present]
-        controller = np.where(np.isin(rows, self.replayed), Controller.REPLAYED, Controller.POLICY)
+            valid = valid & ~np.isin(motion.rows, list(self.awaited_from_demand - self.world.had_in_sumo))
+        rows = motion.rows[valid]
+        controllers = np.where(np.isin(rows, self.replayed), Controller.REPLAYED, Controller.POLICY)
         self.world.set_state(
-            rows,
-            motion.xy_m[is_present, k],
-            motion.yaw_rad[is_present, k],
-            motion.speed_mps[is_present, k],
-            controller,
+            rows, motion.xy_m[valid, k], motion.yaw_rad[valid, k], motion.speed_mps[valid, k], controllers
         )
         for row in rows.tolist():
             if row not in self.actuator.moved:
                 self._take_or_insert(row)
-        self.actuator.move(rows, motion.xy_m[is_present, k], motion.yaw_rad[is_present, k])
+        self.actuator.move(rows, motion.xy_m[valid, k], motion.yaw_rad[valid, k])
 
     def _take_or_insert(self, row: int) -> None:
         """Begin to move *row*: take it from SUMO, insert it, or keep it outside SUMO while it is off the lanes."""
@@ -296,36 +279,27 @@ class Loop:
             if row in moved and moved[row].inserted:  # past its lane's end it has left SUMO, not the scene
                 moved.pop(row)
                 self.actuator.outside.add(row)
-        off_lane = self.actuator.remove_off_lanes()
-        self.entering |= self.actuator.on_lanes(
-            off_lane, self.world.xy_m[off_lane], self.world.yaw_rad[off_lane]
-        )
+        rows = self.actuator.remove_off_lanes()
+        self.entering |= self.actuator.on_lanes(rows, self.world.xy_m[rows], self.world.yaw_rad[rows])
         self.recorder.note(self.api)
 
     def _target_collides(self, before: Frame, now: Frame) -> bool:
         """Return whether the target touches a road user in this step; overlaps that a log begins with do not count."""
         n = len(now.yaw_rad)
         size = self.world.size_m[:n]
-        xy_before, yaw_before = _padded(before, n)
+        xy0, yaw0 = _padded(before, n)
         ignored = self._overlaps_to_ignore(n)
         contact = target_contact(
-            xy_before,
-            yaw_before,
-            now.xy_m,
-            now.yaw_rad,
-            size,
-            self.target,
-            ignore=ignored,
-            dt_s=self.sim.step_s,
+            xy0, yaw0, now.xy_m, now.yaw_rad, size, self.target, ignore=ignored, dt_s=self.sim.step_s
         )
-        self.initial_overlaps = standing_overlaps(
-            ignored, xy_before, now.xy_m, now.yaw_rad, size, self.target, dt_s=self.sim.step_s
+        self.old_overlaps = standing_overlaps(
+            ignored, xy0, now.xy_m, now.yaw_rad, size, self.target, dt_s=self.sim.step_s
         )
         return contact is not None
 
     def _overlaps_to_ignore(self, n: int) -> BoolArray:
         """Return (n,) who has overlapped the target since the start; the mask is extended for new rows."""
-        known = self.initial_overlaps if self.initial_overlaps is not None else np.zeros(0, dtype=np.bool_)
+        known = self.old_overlaps if self.old_overlaps is not None else np.zeros(0, dtype=np.bool_)
         return np.concatenate((known, np.zeros(n - len(known), dtype=np.bool_)))
 
     # --- observations ------------------------------------------------------------------------------------
@@ -374,12 +348,10 @@ class Loop:
         radius[np.isin(rows, self._inside_junctions())] = np.inf
         is_on_lane = np.array([bool(self.world.lane[row]) for row in rows.tolist()], dtype=np.bool_)
         is_not_logged = ~np.isin(rows, self.context.rows())
-        is_movable = np.asarray(
-            is_background & (distance_m <= radius) & (is_on_lane | is_moved) & is_not_logged
-        )
-        for k in np.flatnonzero(is_movable & ~is_moved).tolist():
-            is_movable[k] = not self._arrives_soon(int(rows[k]))
-        return is_movable
+        movable = np.asarray(is_background & (distance_m <= radius) & (is_on_lane | is_moved) & is_not_logged)
+        for k in np.flatnonzero(movable & ~is_moved).tolist():
+            movable[k] = not self._arrives_soon(int(rows[k]))
+        return movable
 
     def _arrives_soon(self, row: int) -> bool:
         """Return whether *row* reaches its goal, where SUMO removes it, before it could stop.

@@ -19,14 +19,13 @@ from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import World, stack
 
-_ALIGNED_RAD = 0.05
-"""Largest heading error of a release; SUMO turns a vehicle along its lane in its first step."""
+_ALIGNED_RAD = (
+    0.05  # largest heading error of a release; SUMO turns a vehicle along its lane in its first step
+)
 _STANDING_MPS = 0.5
-_MAX_WAIT_S = 8.0
-"""After this time SUMO gets a vehicle as it is, and the record counts it."""
+_MAX_WAIT_S = 8.0  # after this time SUMO gets a vehicle as it is, and the record counts it
 _ROUTE_AHEAD_M = 200.0
-_PERCEPTION_M = 60.0
-"""Vehicles within this distance are considered when a vehicle is driven back onto its lane."""
+_PERCEPTION_M = 60.0  # vehicles that are driven back onto their lane see others up to here
 
 
 class Handover:
@@ -94,23 +93,14 @@ class Handover:
         return MovedMotion.join(motion, self._align(scene, plans, steps))
 
     def _is_releasable(
-        self,
-        row: int,
-        lane: str | None,
-        lane_pose: tuple[float, float, float],
-        sumo_agrees: bool,
-        wait_s: float,
+        self, row: int, lane: str | None, pose: tuple[float, float, float], sumo_agrees: bool, wait_s: float
     ) -> bool:
         """Return whether *row* can be released now: SUMO would leave it where it is, or it has waited long enough.
 
-        Args:
-            row: of the vehicle.
-            lane: the lane nearest to it, if any.
-            lane_pose: its arc length, lateral offset and heading error on *lane*.
-            sumo_agrees: whether SUMO has it on that lane.
-            wait_s: time until the next attempt.
+        *pose* is arc length, lateral offset and heading error on *lane*, the nearest one. *sumo_agrees* is whether SUMO
+        has the vehicle on that lane. The next attempt is *wait_s* later.
         """
-        s_m, offset_m, yaw_error_rad = lane_pose
+        s_m, offset_m, yaw_error_rad = pose
         is_aligned = sumo_agrees and lane is not None and abs(yaw_error_rad) <= _ALIGNED_RAD
         if (
             is_aligned

@@ -55,20 +55,15 @@ def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: st
 
 
 def _following(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
-    """Return whether a vehicle is ahead in the lane of *row*, within 3.5 s or 10 m."""
     range_m = max(_FOLLOWING_S * float(frame.speed_mps[row]), 10.0)
     return any(0.0 < gap_m < range_m for gap_m in _gaps_along(road, world, frame, row, world.lane[row]))
 
 
 def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
-    """Return whether a vehicle is on a lane beside that of *row*, within 20 m."""
     lane = road.lanes[world.lane[row]]
     neighbours = [name for name in (lane.left_id, lane.right_id) if name is not None]
-    return any(
-        abs(gap_m) < _BESIDE_M
-        for neighbour in neighbours
-        for gap_m in _gaps_along(road, world, frame, row, neighbour)
-    )
+    gaps_m = (gap_m for name in neighbours for gap_m in _gaps_along(road, world, frame, row, name))
+    return any(abs(gap_m) < _BESIDE_M for gap_m in gaps_m)
 
 
 def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
@@ -83,7 +78,6 @@ def _is_first(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
 
 
 def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
-    """Return whether the route of *row* turns left or right at the next junction."""
     link = _next_link(road, world, frame, row, route)
     return link is not None and link.direction.lower() in ("l", "r")
 

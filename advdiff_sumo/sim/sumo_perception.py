@@ -16,10 +16,7 @@ _NEIGHBOUR_MODES = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and lea
 
 
 def visible_ids(api: Any, name: str) -> frozenset[str]:
-    """Return the road users that the models of SUMO-driven *name* take into account now.
-
-    These are its leader, its neighbours, vehicles in conflict with it at junctions, and people on crossings.
-    """
+    """Return the leader, neighbours, junction foes and people on crossings that *name*'s SUMO models consider now."""
     vehicle = api.vehicle
     leader = leader_of(api, name, _LOOK_AHEAD_M)
     visible = set() if leader is None else {leader[0]}
@@ -36,10 +33,7 @@ def leader_of(api: Any, name: str, within_m: float) -> tuple[str, float] | None:
 
 
 def _foes(api: Any, name: str) -> set[str]:
-    """Return the vehicles in conflict with *name* at the next junctions.
-
-    SUMO reports some pairs for one of the two vehicles only, so vehicles that approach the junction are asked as well.
-    """
+    """Return vehicles in conflict with *name* at the next junctions; SUMO lists some pairs for one of the two only."""
     foes_of = api.vehicle.getJunctionFoes
     foes = {foe[0] for foe in foes_of(name, _LOOK_AHEAD_M)}
     edge = api.vehicle.getRoadID(name)
@@ -59,9 +53,7 @@ def _on_crossings(api: Any, name: str) -> set[str]:
     inner_lanes = [link[4] for link in api.vehicle.getNextLinks(name)[:_JUNCTIONS]]
     own_lane = api.vehicle.getLaneID(name)
     inner_lanes += [own_lane] if own_lane.startswith(":") else []
-    lanes = {
-        lane for inner_lane in inner_lanes if inner_lane for lane in api.lane.getInternalFoes(inner_lane)
-    }
+    lanes = {lane for inner in inner_lanes if inner for lane in api.lane.getInternalFoes(inner)}
     crossings = {lane.rpartition("_")[0] for lane in lanes if _CROSSING.match(lane)}
     return {PERSON + person for edge in crossings for person in api.edge.getLastStepPersonIDs(edge)}
 

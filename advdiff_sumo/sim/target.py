@@ -172,12 +172,8 @@ class PlannerDrive:
             plan: what it is about to drive.
         """
         if self._off_route_edge is None or self._states is None:
-            turn_edge = self._turn_off_route(*self._planned_poses(state, plan))
-            return (
-                guessed_route(self.road, self.row, self.route[0], turn_edge)
-                if turn_edge
-                else self.route_ahead()
-            )
+            turn = self._turn_off_route(*self._planned_poses(state, plan))
+            return guessed_route(self.road, self.row, self.route[0], turn) if turn else self.route_ahead()
         xy, yaw = self._states[0][-1], float(self._states[1][-1])
         end_pose = self.road.locate(xy, yaw)
         last_edge = self._off_route_edge if end_pose is None else self.road.edge_of(end_pose.lane_id)

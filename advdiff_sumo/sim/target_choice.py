@@ -97,20 +97,16 @@ class TargetChoice:
         fast_cars = cars[frame.speed_mps[cars] >= self.scene.min_speed_mps]
         vehicles = frame.present & (world.classes[: len(frame.present)] != AgentClass.PEDESTRIAN)
         distances = np.linalg.norm(frame.xy_m[fast_cars, None] - frame.xy_m[None, vehicles], axis=-1)
-        cars_with_neighbours = fast_cars[
+        with_neighbours = fast_cars[
             (distances < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours
         ]
-        cars_with_route = [row for row in cars_with_neighbours.tolist() if self._has_route(api, world, row)]
+        with_route = [row for row in with_neighbours.tolist() if self._has_route(api, world, row)]
         signals = {
             name: api.trafficlight.getRedYellowGreenState(name) for name in api.trafficlight.getIDList()
         }
-        usable_cars = [
-            row for row in cars_with_route if self._is_in_situation(api, world, frame, row, signals)
-        ]
-        stages = zip(
-            Lacking, (cars, fast_cars, cars_with_neighbours, cars_with_route, usable_cars), strict=True
-        )
-        return usable_cars, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
+        usable = [row for row in with_route if self._is_in_situation(api, world, frame, row, signals)]
+        stages = zip(Lacking, (cars, fast_cars, with_neighbours, with_route, usable), strict=True)
+        return usable, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
 
     def _is_in_situation(
         self, api: Any, world: World, frame: Frame, row: int, signals: dict[str, str]

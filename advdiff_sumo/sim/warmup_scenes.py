@@ -32,15 +32,7 @@ _MAX_ATTEMPTS = 40  # consecutive choices without a usable target
 
 @dataclass(frozen=True)
 class _SceneChoice:
-    """A moment at which an episode may start.
-
-    Attributes:
-        frame: number of the recorded frame.
-        time_s: SUMO's clock.
-        target: row of the target.
-        routes: id → remaining edges of all vehicles.
-        state_xml: SUMO's saved state.
-    """
+    """A moment at which an episode may start; *frame* is its recorded frame, *target* the target's row."""
 
     frame: int
     time_s: float
@@ -130,16 +122,10 @@ class NaturalTraffic:
             traffic = _RecordedTraffic(session, self.sim, folder, self.road.beyond_rim)
             choices = list(self._choices(traffic, seed.child("target").generator(), wanted))
             traffic.advance(self.horizon_s)
-        routes, extra = (
-            [content_of(choice) for choice in group] for group in (files.routes, files.additional)
-        )
+        routes, extra = (tuple(map(content_of, group)) for group in (files.routes, files.additional))
         return [
             self._scene(
-                number,
-                k,
-                traffic,
-                choice,
-                SavedTraffic(choice.state_xml, choice.time_s, tuple(routes), tuple(extra)),
+                number, k, traffic, choice, SavedTraffic(choice.state_xml, choice.time_s, routes, extra)
             )
             for k, choice in enumerate(choices)
         ]
@@ -175,22 +161,16 @@ class NaturalTraffic:
         self, number: int, k: int, traffic: _RecordedTraffic, choice: _SceneChoice, start: SavedTraffic
     ) -> SeedScene:
         """Return scene *k* of stretch *number*, which starts at *choice*, with its history and log."""
-        substeps, frame_now = self.sim.substeps, choice.frame
-        first = frame_now - substeps * (self.sim.history_steps - 1)
-        stop = frame_now + round(self.horizon_s / self.sim.step_s) + 1
+        sim, now = self.sim, choice.frame
+        first = now - sim.substeps * (sim.history_steps - 1)
+        stop = now + round(self.horizon_s / sim.step_s) + 1
         frames = traffic.frames
-        rows = _rows_near_target(frames[frame_now:stop], choice.target, self.sim.record_radius_m)
-        rows_now = rows[
-            np.flatnonzero(frames[frame_now].present[rows[rows < len(frames[frame_now].controller)]])
-        ]
+        rows = _rows_near_target(frames[now:stop], choice.target, sim.record_radius_m)
+        rows_now = rows[np.flatnonzero(frames[now].present[rows[rows < len(frames[now].controller)]])]
         history, _ = stack(
-            traffic.world,
-            frames[first : frame_now + 1 : substeps],
-            rows_now,
-            -self.sim.history_s,
-            self.sim.model_step_s,
+            traffic.world, frames[first : now + 1 : sim.substeps], rows_now, -sim.history_s, sim.model_step_s
         )
-        log, _ = stack(traffic.world, frames[frame_now:stop], rows, 0.0, self.sim.step_s)
+        log, _ = stack(traffic.world, frames[now:stop], rows, 0.0, sim.step_s)
         return SeedScene(
             name=f"{self.road.name}-{number:03d}-{k:02d}",
             net=self.road.path,

@@ -37,10 +37,8 @@ from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 _EPISODE_S = 70.0
-_MODEL_TURN_S = (3.0, 25.0)
-"""Shortest and longest turn of the model."""
-_WINDOW_STEPS = (0, 2, 4)
-"""Windows are cut so many model steps after the hand-over."""
+_MODEL_TURN_S = (3.0, 25.0)  # shortest and longest turn of the model
+_WINDOW_STEPS = (0, 2, 4)  # windows are cut so many model steps after the hand-over
 _SIM = SimOptions(stop_at_collision=False, record_plans=0, record_natural=False)
 _SCENE = SceneOptions(
     warmup_s=WARMUP_S, min_route_m=250.0, min_speed_mps=0.0, spacing_s=8.0, scenes_per_warmup=2

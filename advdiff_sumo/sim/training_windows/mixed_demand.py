@@ -20,11 +20,8 @@ PARKED = "parked"
 _DENSITY_PER_KM = (4.0, 36.0)  # lowest and highest
 _MAX_VEHICLES = 420
 _MEAN_TRIP_S = 120.0  # vehicles present / inflow, by Little's law
-_SHORT_SHARE, _SHORT_TRIP_M, _LONG_TRIP_M = (
-    0.35,
-    90.0,
-    600.0,
-)  # share and least length of short and long trips
+# Share of short trips; least length of short and of long trips.
+_SHORT_SHARE, _SHORT_TRIP_M, _LONG_TRIP_M = 0.35, 90.0, 600.0
 _FAST_MPS = 17.0  # on streets with a higher limit there are no bicycles, stops or parked cars
 _SLOW_STREETS_ONLY = frozenset({"bicycle"})
 _STOPPING_SHARE = 0.03
@@ -46,14 +43,10 @@ class WeightedStreets:
         Raises:
             NetError: there is none.
         """
-        ids = [
-            edge for edge in sorted(road.edges) if not road.edges[edge].is_internal and car_lanes(road, edge)
-        ]
+        ids = [e for e in sorted(road.edges) if not road.edges[e].is_internal and car_lanes(road, e)]
         if not ids:
             raise NetError(road.path, "holds no lane that a car may drive", "give a net with passenger lanes")
-        return WeightedStreets(
-            tuple(ids), tuple(road.edges[edge].length_m * car_lanes(road, edge) for edge in ids)
-        )
+        return WeightedStreets(tuple(ids), tuple(road.edges[e].length_m * car_lanes(road, e) for e in ids))
 
 
 def write_mixed_demand(
@@ -81,9 +74,7 @@ def write_mixed_demand(
     streets = WeightedStreets.of(road)
     for vehicle in _parked_cars(road, streets, types, rng) if stops else ():
         root.append(vehicle)
-    trips = sorted(
-        _trips(road, streets, types, duration_s, rng), key=lambda trip: float(trip.attrib["depart"])
-    )
+    trips = sorted(_trips(road, streets, types, duration_s, rng), key=lambda v: float(v.attrib["depart"]))
     if not trips:
         raise NetError(road.path, "holds no drivable route", "give a net in which edges are connected")
     for vehicle in trips:

@@ -67,19 +67,12 @@ def _exit_links(key: str, kind: str, lanes: int) -> list[tuple[str, str, int, in
 
 def _resolve_next_edges(plan: StreetPlan, name: str) -> None:
     """Replace "+" in the links of carriageway *name* by the next edge; the lane of an entry ends without a link."""
-    start_of = {e.start: e.id for e in plan.edges if e.id.endswith("m")}
-    end_of = {e.id: e.end for e in plan.edges}
+    edge_from = {e.start: e.id for e in plan.edges if e.id.endswith("m")}
+    end_node = {e.id: e.end for e in plan.edges}
     plan.connections = [
-        (
-            from_edge,
-            start_of[end_of[from_edge]] if to_edge == "+" and from_edge.startswith(name) else to_edge,
-            from_lane,
-            to_lane,
-        )
-        for from_edge, to_edge, from_lane, to_lane in plan.connections
-        if not (
-            to_edge == "+" and from_lane == 0 and from_edge.endswith("onc")
-        )  # the entry's lane ends there
+        (edge, edge_from[end_node[edge]] if to == "+" and edge.startswith(name) else to, lane, to_lane)
+        for edge, to, lane, to_lane in plan.connections
+        if not (to == "+" and lane == 0 and edge.endswith("onc"))  # the entry's lane ends there
     ]
 
 

@@ -51,28 +51,22 @@ def write_random_net(kind: str, seed: SeedTree, path: Path) -> Path:
 def _generate(kind: str, seed: SeedTree, rng: np.random.Generator, folder: Path) -> StreetPlan:
     """Return nodes and streets of netgenerate, with the nodes moved at random."""
     prefix = folder / "laid"
-    options = {
-        "grid": _grid_options,
-        "spider": _spider_options,
-        "rand": _rand_options,
-    }[kind](rng)
+    options = {"grid": _grid_options, "spider": _spider_options, "rand": _rand_options}[kind](rng)
     options |= {"seed": str(seed.child("netgenerate").integer()), "plain-output-prefix": str(prefix)}
     _run_tool("netgenerate", [f"--{kind}", *(f"--{k}={v}" for k, v in options.items())], prefix)
-    spread_m = rng.uniform(0.0, _MAX_NODE_SPREAD_M)
+    spread = rng.uniform(0.0, _MAX_NODE_SPREAD_M)
     nodes = {
-        element.attrib["id"]: np.array([float(element.attrib["x"]), float(element.attrib["y"])])
-        + rng.normal(0.0, spread_m, 2)
-        for element in _elements(folder / "laid.nod.xml", "node")
+        e.attrib["id"]: np.array([float(e.attrib["x"]), float(e.attrib["y"])]) + rng.normal(0.0, spread, 2)
+        for e in _elements(folder / "laid.nod.xml", "node")
     }
     edges = [
-        PlanEdge(element.attrib["id"], element.attrib["from"], element.attrib["to"])
-        for element in _elements(folder / "laid.edg.xml", "edge")
+        PlanEdge(e.attrib["id"], e.attrib["from"], e.attrib["to"])
+        for e in _elements(folder / "laid.edg.xml", "edge")
     ]
     return StreetPlan(nodes, edges)
 
 
 def _grid_options(rng: np.random.Generator) -> dict[str, str]:
-    """Return random options of netgenerate for a grid."""
     return {
         "grid.x-number": str(rng.integers(3, 6)),
         "grid.y-number": str(rng.integers(3, 5)),
@@ -83,7 +77,6 @@ def _grid_options(rng: np.random.Generator) -> dict[str, str]:
 
 
 def _spider_options(rng: np.random.Generator) -> dict[str, str]:
-    """Return random options of netgenerate for a spider's web."""
     return {
         "spider.arm-number": str(rng.integers(4, 8)),
         "spider.circle-number": str(rng.integers(2, 4)),
@@ -93,7 +86,6 @@ def _spider_options(rng: np.random.Generator) -> dict[str, str]:
 
 
 def _rand_options(rng: np.random.Generator) -> dict[str, str]:
-    """Return random options of netgenerate for a random street pattern."""
     return {
         "rand.iterations": str(rng.integers(25, 60)),
         "rand.min-distance": f"{rng.uniform(60, 100):.0f}",
@@ -132,18 +124,13 @@ def _draw_streets(plan: StreetPlan, rng: np.random.Generator, lefthand: bool) ->
 def _make_roundabout(plan: StreetPlan, node: str, rng: np.random.Generator, lefthand: bool) -> None:
     """Replace *node* by a ring with one node for each arm, if its arms are long enough and far enough apart."""
     centre, radius = plan.nodes[node], rng.uniform(13.0, 20.0)
-    incident_edges = [street for street in plan.edges if node in (street.start, street.end)]
-    offsets = {
-        street.id: plan.nodes[street.end if street.start == node else street.start] - centre
-        for street in incident_edges
-    }
+    incident_edges = [e for e in plan.edges if node in (e.start, e.end)]
+    offsets = {e.id: plan.nodes[e.end if e.start == node else e.start] - centre for e in incident_edges}
     if min(float(np.hypot(*offset)) for offset in offsets.values()) < 3.0 * radius:
         return
     angles = {
-        (street.end if street.start == node else street.start): float(
-            np.arctan2(offsets[street.id][1], offsets[street.id][0])
-        )
-        for street in incident_edges
+        (e.end if e.start == node else e.start): float(np.arctan2(offsets[e.id][1], offsets[e.id][0]))
+        for e in incident_edges
     }
     order = sorted(angles, key=lambda arm: -angles[arm] if lefthand else angles[arm])
     gaps = np.diff(sorted(angles.values()))
@@ -157,16 +144,14 @@ def _make_roundabout(plan: StreetPlan, node: str, rng: np.random.Generator, left
             edge.start = ring[edge.end]
         else:
             edge.end = ring[edge.start]
-    lanes = 2 if max(street.lanes for street in incident_edges) > 1 and rng.random() < 0.4 else 1
+    lanes = 2 if max(e.lanes for e in incident_edges) > 1 and rng.random() < 0.4 else 1
     turn_sign = -1.0 if lefthand else 1.0
-    for start_arm, end_arm in zip(order, order[1:] + order[:1], strict=True):
-        sweep = (turn_sign * (angles[end_arm] - angles[start_arm])) % (2.0 * np.pi)
-        ring_angles = angles[start_arm] + turn_sign * np.linspace(0.0, sweep, max(3, round(sweep / 0.3)))
+    for arm, next_arm in zip(order, order[1:] + order[:1], strict=True):
+        sweep = (turn_sign * (angles[next_arm] - angles[arm])) % (2.0 * np.pi)
+        ring_angles = angles[arm] + turn_sign * np.linspace(0.0, sweep, max(3, round(sweep / 0.3)))
         shape = centre + radius * np.column_stack((np.cos(ring_angles), np.sin(ring_angles)))
         plan.edges.append(
-            PlanEdge(
-                f"{ring[start_arm]}-{ring[end_arm]}", ring[start_arm], ring[end_arm], lanes, 8.33, 20, shape
-            )
+            PlanEdge(f"{ring[arm]}-{ring[next_arm]}", ring[arm], ring[next_arm], lanes, 8.33, 20, shape)
         )
     del plan.nodes[node]
     plan.types.pop(node, None)

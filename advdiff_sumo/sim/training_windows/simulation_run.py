@@ -27,12 +27,10 @@ WARMUP_S, RECORD_S = 16.0, 28.0
 _WINDOW_SPACING_S = 1.5
 _MAX_FOCAL = 24  # focal agents in a window
 _MOVING_M = 1.0  # an agent moves if it covers more than this, or its speed in m/s is above it
-# A window counts as standing with fewer moving agents than this number, or than this share.
-_MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12
+_MIN_MOVING, _MIN_MOVING_SHARE = 2, 0.12  # with fewer moving agents, a window counts as standing
 _STANDING_KEPT_SHARE = 0.1  # share of the standing windows that is kept
-# Windows with motion beyond these limits are left out.
-_LIMITS = Limits()
-_GRIP_FACTOR = 1.7  # on the limit of lateral acceleration
+# Windows with motion beyond these limits are left out; the factor applies to the lateral acceleration.
+_LIMITS, _GRIP_FACTOR = Limits(), 1.7
 _MAX_CURVATURE_1PM = 0.3
 _MIN_ARC_M = 0.3  # in the curvature, a vehicle counts as moving at least so far
 _MAX_SIDESLIP_M = 0.9  # in half a second

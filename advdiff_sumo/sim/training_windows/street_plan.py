@@ -96,5 +96,4 @@ def bend(plan: StreetPlan, rng: np.random.Generator, waves_m: tuple[float, float
 
 
 def _shape_text(xy_m: FloatArray) -> str:
-    """Return points (P, 2) in SUMO's notation."""
     return " ".join(f"{x:.3f},{y:.3f}" for x, y in xy_m)

@@ -40,8 +40,8 @@ OwnOptions: TypeAlias = Annotated[dict[str, Any], AfterValidator(_finite)]
 Variants: TypeAlias = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_finite)]
 """Values to try of each such option."""
 
-#: From this similarity on, such as "background" and "backgrounds", a name counts as misspelt. It is then not looked for
-#: in other groups of options.
+#: A name this similar to one of its own group, such as "backgrounds" to "background", counts as a misspelling of it;
+#: other groups are then not searched.
 _MISSPELT = 0.85
 
 

@@ -95,7 +95,7 @@ class Registry:
         return _import(self.kind, canonical)
 
     def factory(self, canonical: str) -> Callable[..., Any]:
-        """Return the class or function that *canonical* means; errors as in :meth:`load`, or it is neither of both."""
+        """Return the class or function that *canonical* means; errors as in :meth:`load`, also if it is neither."""
         loaded = self.load(canonical)
         if not callable(loaded):
             raise ConfigError(

@@ -166,7 +166,7 @@ def car_lanes(road: RoadMap, edge_id: str) -> int:
 
 
 def person_types() -> Iterator[dict[str, str]]:
-    """Yield vType attributes of people who walk at different speeds."""
+    """Yield vType attributes of pedestrians with different walking speeds."""
     for number, speed_mps in enumerate(_WALKING_SPEEDS_MPS):
         yield {"id": f"walker{number}", "vClass": "pedestrian", "maxSpeed": f"{speed_mps:g}", "speedDev": "0"}
 
@@ -196,7 +196,7 @@ def walks(
 def _person(
     number: int, depart_s: float, footways: Footways, start: int, rng: np.random.Generator
 ) -> Element:
-    """Return a pedestrian who walks from sidewalk *start* to a random other one that is connected and near."""
+    """Return a pedestrian on a trip from sidewalk *start* to a random other one that is connected and near."""
     distance = np.linalg.norm(footways.middle_m - footways.middle_m[start], axis=-1)
     connected = np.flatnonzero((footways.part == footways.part[start]) & (np.arange(len(distance)) != start))
     near_ends = connected[distance[connected] <= _MAX_WALK_M]

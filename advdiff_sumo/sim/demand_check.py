@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import FileError, SceneError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_xml import elements, seconds
 
-_MAX_ROUTES = 500  # so many routes of a file are checked, and more until the first departure is known
+_MAX_ROUTES = 500  # routes of a file that are checked, and more until the first departure is known
 _VEHICLES, _FLOWS = {"vehicle", "trip", "flow"}, {"flow", "personFlow", "containerFlow"}
 _DEPARTING = _VEHICLES | _FLOWS | {"person", "container"}  # tags of elements that depart
 _ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}  # tags of elements that name edges

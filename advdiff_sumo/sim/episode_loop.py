@@ -298,7 +298,7 @@ class Loop:
         return contact is not None
 
     def _overlaps_to_ignore(self, n: int) -> BoolArray:
-        """Return (n,) who has overlapped the target since the start; the mask is extended for new rows."""
+        """Return (n,) which rows have overlapped the target since the start; the mask is extended for new rows."""
         known = self.old_overlaps if self.old_overlaps is not None else np.zeros(0, dtype=np.bool_)
         return np.concatenate((known, np.zeros(n - len(known), dtype=np.bool_)))
 
@@ -328,7 +328,7 @@ class Loop:
         return scene.without(distance > self.sim.observe_radius_m)
 
     def _near_moved_vehicles(self) -> BoolArray:
-        """Return (n,) who may come into conflict with a moved vehicle, at any distance from the target."""
+        """Return (n,) which rows may come into conflict with a moved vehicle, at any distance from the target."""
         world = self.world
         moved = np.array(self._moved_background(), dtype=np.int64)
         offset = world.xy_m[: len(world), None] - world.xy_m[moved]
@@ -430,7 +430,7 @@ class Loop:
 
 
 def _log_for_policy(scene: SeedScene) -> Tracks:
-    """Return the log that the policy may follow; in SUMO traffic without pedestrians, whom SUMO's own model moves."""
+    """Return the log that the policy may follow; without pedestrians in SUMO traffic, as SUMO's model moves them."""
     if isinstance(scene.start, PlacedTraffic):
         return scene.log
     return scene.log.rows(scene.log.classes != AgentClass.PEDESTRIAN)

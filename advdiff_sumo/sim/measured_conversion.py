@@ -27,15 +27,15 @@ class ConvertOptions(Options):
     Attributes:
         lefthand: whether traffic keeps left; None: decided by the map's name.
         tls: "map": signals only where the map has them; "guess": also at large junctions.
-        tls_cycle: fixed signal times for so many vehicles an hour; 0: actuated.
+        tls_cycle: fixed signal times for this number of vehicles an hour; 0: actuated.
         crossings: "map": those of the map; "guess": guessed ones if it has none; "none".
         opendrive: write NAME.xodr too.
         close_rim: lead traffic back from where the map ends to where it begins.
         osm: OpenStreetMap extract whose streets continue those that end at the map's rim.
         dataroot: nuScenes data set whose logged poses are compared with the net.
         report: write the page NAME.fidelity.html; without it, the page of an earlier net is deleted.
-        drive: driving test of an hour in which so many vehicles depart; 0: none.
-        drive_at_once: driving test of an hour with so many vehicles at any time; 0: none.
+        drive: driving test of an hour in which this number of vehicles departs; 0: none.
+        drive_at_once: driving test of an hour with this number of vehicles at any time; 0: none.
         seed: of the driving tests.
     """
 

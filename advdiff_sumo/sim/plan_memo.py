@@ -117,12 +117,12 @@ class PlanSource:
         self.memory = self.policy.start(road, scene.copied(), log.copied(), rng)
 
     def plan(
-        self, road: RoadMap, scene: Scene, rng: np.random.Generator, who: str
+        self, road: RoadMap, scene: Scene, rng: np.random.Generator, owner: str
     ) -> tuple[JointPlan, float]:
         """Return the plan for *scene*, and the wall-clock time that it took when it was made.
 
         Raises:
-            PlanRefusedError: the policy, called *who* in the message, returned something else.
+            PlanRefusedError: the policy, *owner* in the message, returned something else.
         """
         if self.memo is not None:
             self._key = _digest((self._key, *_scene_bytes(scene), _rng_bytes(rng)))
@@ -134,7 +134,7 @@ class PlanSource:
         answer: Any = self.policy.plan(road, scene_copy, self.memory, rng)
         wall_s, cpu_s = time.perf_counter() - started_s, time.process_time() - cpu_started_s
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
-            raise PlanRefusedError(f"{who} returned {type(answer).__name__}, not (JointPlan, memory)")
+            raise PlanRefusedError(f"{owner} returned {type(answer).__name__}, not (JointPlan, memory)")
         plan, self.memory = answer
         if self.memo is not None:
             self.memo.made.keep(

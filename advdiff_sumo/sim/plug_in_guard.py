@@ -26,13 +26,13 @@ class PlugInGuard:
 
     Attributes:
         plug_in: the object.
-        who: for messages, such as "target 'mine:Planner'".
+        owner: name of planner or policy for messages, such as "target 'mine:Planner'".
         phase: phase of the heartbeat during a call.
         heartbeat: of the episode.
     """
 
     plug_in: object
-    who: str
+    owner: str
     phase: ProcessPhase
     heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
@@ -61,5 +61,5 @@ class PlugInGuard:
         """Return the failure of the episode that *error* of the plug-in causes."""
         place = raised_at(error, self.plug_in)
         if lacks_memory(error):
-            return OutOfMemoryFailure(f"{self.who} ran out of memory{place}{message_of(error)}")
-        return PlannerError(f"{self.who} raised {described(error)}{place}")
+            return OutOfMemoryFailure(f"{self.owner} ran out of memory{place}{message_of(error)}")
+        return PlannerError(f"{self.owner} raised {described(error)}{place}")

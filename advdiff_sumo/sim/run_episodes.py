@@ -178,7 +178,7 @@ class Run:
 
         Args:
             number: of the stretch; of no effect with a log.
-            wanted: return the first so many of ``scene.scenes_per_warmup``, or of the log; None: all.
+            wanted: number of scenes to return, from the first on; None: ``scene.scenes_per_warmup``, or all of the log.
 
         Raises:
             SceneError: the traffic never has a usable target.
@@ -277,8 +277,8 @@ def check_together(options: RunOptions, target: Target) -> None:
         raise ConfigError("demand and scenes cannot go together: a log brings its own traffic")
     if options.scenes and options.sim.history_steps == 1:
         raise ConfigError(
-            f"sim.history_s = {options.sim.history_s:g}: who is in a log is let into SUMO in the model step before "
-            f"the start; set it to {options.sim.model_step_s:g} (sim.model_step_s) or more"
+            f"sim.history_s = {options.sim.history_s:g}: vehicles of a log are inserted into SUMO in the model step "
+            f"before the start; set it to {options.sim.model_step_s:g} (sim.model_step_s) or more"
         )
 
 

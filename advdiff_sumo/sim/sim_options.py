@@ -26,7 +26,7 @@ class SimOptions(Options):
         observe_radius_m: planners and policies see road users up to here; policies also see those that a moved vehicle
             may come into conflict with.
         record_radius_m: the record contains road users that come this near to the target.
-        record_plans: the record contains the plans of the target and of so many vehicles nearest to it; 0: none.
+        record_plans: the record contains the plans of the target and of this number of vehicles nearest to it; 0: none.
         record_natural: the record contains what happened in the seed scene without attack.
         stop_at_collision: end the episode at the target's first collision.
     """

@@ -10,7 +10,7 @@ from advdiff_sumo.sim.world import PERSON
 
 _TLS_STATE = 0x20  # libsumo.constants.TL_RED_YELLOW_GREEN_STATE
 _LOOK_AHEAD_M = 100.0
-_JUNCTIONS = 2  # crossings at so many junctions ahead are considered
+_JUNCTIONS = 2  # junctions ahead at which crossings are considered
 _CROSSING = re.compile(r":.*_c\d+_0$")  # SUMO's name of the lane of a pedestrian crossing
 _NEIGHBOUR_MODES = (0b00, 0b01, 0b10, 0b11)  # left and right, followers and leaders
 

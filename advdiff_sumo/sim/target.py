@@ -229,7 +229,7 @@ class PlannerDrive:
             self.actuator.insert(self.row, TARGET_TYPE)
 
     def _view(self, scene: Scene) -> Scene:
-        """Return a copy of *scene* without what a driver cannot know: the others' routes, and who is moved."""
+        """Return a copy of *scene* without what a driver cannot know: the others' routes, and which ones are moved."""
         routes = tuple(self.route if k == scene.target else () for k in range(scene.history.agents))
         return replace(
             scene.copied(),

@@ -66,7 +66,7 @@ class NaturalTraffic:
 
         Args:
             number: of the stretch.
-            wanted: return the first so many of ``scenes_per_warmup``, and do not simulate the rest; None: all.
+            wanted: number of scenes to return; the rest is not simulated. None: ``scenes_per_warmup``.
 
         Raises:
             SceneError: the traffic never has a usable target.

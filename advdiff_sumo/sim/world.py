@@ -104,13 +104,13 @@ class World:
         xy_m: FloatArray,
         yaw_rad: FloatArray,
         speed_mps: FloatArray,
-        who: Controller | IntArray,
+        controller: Controller | IntArray,
     ) -> None:
-        """Set the states of *rows*, moved by *who*: one controller for all, or (N,) values of :class:`Controller`."""
+        """Set the states of *rows* and their *controller*: one for all, or (N,) values of :class:`Controller`."""
         self.xy_m[rows] = xy_m
         self.yaw_rad[rows] = yaw_rad
         self.speed_mps[rows] = speed_mps
-        self.controller[rows] = who
+        self.controller[rows] = controller
 
     def remove(self, rows: IntArray | Iterable[int]) -> None:
         """Mark *rows* as absent; the vehicles keep their rows."""
@@ -188,9 +188,9 @@ def read(world: World, api: Any, controlled: Collection[int]) -> IntArray:
 
 
 def _read_people(world: World, api: Any) -> list[int]:
-    """Read the states of pedestrians from SUMO, and return the rows of those who have left.
+    """Read the states of pedestrians from SUMO and return the rows of those that have left.
 
-    People who ride in a vehicle are not pedestrians.
+    People in vehicles are not pedestrians.
     """
     names = api.person.getIDList()
     if not names and not world.on_foot:

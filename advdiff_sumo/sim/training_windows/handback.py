@@ -38,7 +38,7 @@ from advdiff_sumo.traffic.sumo_traffic import SumoTraffic
 
 _EPISODE_S = 70.0
 _MODEL_TURN_S = (3.0, 25.0)  # shortest and longest turn of the model
-_WINDOW_STEPS = (0, 2, 4)  # windows are cut so many model steps after the hand-over
+_WINDOW_STEPS = (0, 2, 4)  # model steps after the hand-over at which windows are cut
 _SIM = SimOptions(stop_at_collision=False, record_plans=0, record_natural=False)
 _SCENE = SceneOptions(
     warmup_s=WARMUP_S, min_route_m=250.0, min_speed_mps=0.0, spacing_s=8.0, scenes_per_warmup=2
@@ -131,9 +131,7 @@ def drive_in_turn(
     with episode.opened() as loop:
         try:
             loop.start()
-            while loop.time_s < duration_s and _drive_two_turns(
-                loop, policy, _turn_s(rng, *spans_s), handbacks
-            ):
+            while loop.time_s < duration_s and _drive_both(loop, policy, _turn_s(rng, *spans_s), handbacks):
                 pass
         except EpisodeFailure:
             pass  # the recording until then is usable
@@ -145,7 +143,7 @@ def _turn_s(rng: np.random.Generator, least_s: float, most_s: float) -> float:
     return float(np.exp(rng.uniform(np.log(least_s), np.log(most_s))))
 
 
-def _drive_two_turns(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
+def _drive_both(loop: Loop, policy: TrafficPolicy, span_s: float, handbacks: list[int]) -> bool:
     """Let *policy* drive for *span_s* and then SUMO, and append the instant between to *handbacks*.
 
     Return whether the episode can continue.

@@ -154,7 +154,7 @@ def log_windows(
     options: BuildOptions,
     focal: Sequence[tuple[int, str]] | None = None,
 ) -> Iterator[WindowArrays]:
-    """Yield the windows of *drive* on *road* whose whole future is within the drive.
+    """Yield the windows of *drive* on *road* with all of their future inside the drive.
 
     Args:
         drive: at any spacing; resampled to 0.5 s if necessary.

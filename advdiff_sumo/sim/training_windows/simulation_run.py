@@ -104,7 +104,7 @@ def _extent_m(xy_m: FloatArray) -> FloatArray:
 
 
 def cut(recording: Recording, table: PieceTable, seed: SeedTree, name: str) -> Iterator[WindowArrays]:
-    """Yield windows of *recording*: at each of its instants, some focal vehicles whose crops overlap little.
+    """Yield windows of *recording*: at each of its instants, around focal vehicles with little overlap of their crops.
 
     Focal vehicles are drawn, moving ones first. Most windows in which hardly any vehicle moves are left out. Windows
     with overlapping boxes, which SUMO's lane model allows, are left out. So are windows with impossible motion: SUMO
@@ -133,7 +133,7 @@ def _with_expert_future(window: WindowArrays, expert: BoolArray) -> WindowArrays
 
 
 def _moving(tracks: Tracks, now: int) -> BoolArray:
-    """Return (A,) which agents move by a metre or more in the coming 6 s, or are fast now."""
+    """Return (A,) which agents move by more than a metre in the coming 6 s, or are faster than 1 m/s now."""
     span = tracks.xy_m[:, now : now + FUTURE + 1]
     with np.errstate(invalid="ignore"):
         return np.asarray((_extent_m(span) > _MOVING_M) | (tracks.speed_mps[:, now] > _MOVING_M))
@@ -148,7 +148,7 @@ def _focal_order(recording: Recording, now: int, moving: BoolArray, rng: np.rand
 
 
 def _has_overlaps(tracks: Tracks, rows: IntArray, now: int) -> bool:
-    """Return whether two boxes of the window overlap at any of its instants."""
+    """Return whether two boxes of the window, each shortened and narrowed by 0.2 m, overlap at any of its instants."""
     span = slice(now - PAST + 1, now + FUTURE + 1)
     a, b = np.triu_indices(len(rows), k=1)
     xy, size = tracks.xy_m[rows, span], tracks.size_m[rows]
@@ -173,11 +173,8 @@ def _is_drivable(tracks: Tracks, rows: IntArray, now: int) -> bool:
     sideslip = np.abs(step[..., 1] * direction[..., 0] - step[..., 0] * direction[..., 1])
     curvature = np.abs(turn) / np.maximum(distance, _MIN_ARC_M)
     with np.errstate(invalid="ignore"):  # NaN compares as False
-        is_impossible = (np.abs(np.diff(speed, axis=1)) > _LIMITS.brake_mps2 * DT_S) | (
-            sideslip > _MAX_SIDESLIP_M
-        )
-        is_impossible |= np.abs(forward - 0.5 * DT_S * (speed[:, 1:] + speed[:, :-1])) > _MAX_SPEED_ERROR_M
-        is_impossible |= (curvature > _MAX_CURVATURE_1PM) | (
-            curvature * (distance / DT_S) ** 2 > _LIMITS.lateral_mps2 * _GRIP_FACTOR
-        )
-    return not is_impossible.any()
+        invalid = (np.abs(np.diff(speed, axis=1)) > _LIMITS.brake_mps2 * DT_S) | (sideslip > _MAX_SIDESLIP_M)
+        invalid |= np.abs(forward - 0.5 * DT_S * (speed[:, 1:] + speed[:, :-1])) > _MAX_SPEED_ERROR_M
+        invalid |= curvature > _MAX_CURVATURE_1PM
+        invalid |= curvature * (distance / DT_S) ** 2 > _LIMITS.lateral_mps2 * _GRIP_FACTOR
+    return not invalid.any()

@@ -1,4 +1,4 @@
-"""Options: strict, frozen, with suggestions; TOML files and --set."""
+"""Options are strict and frozen, with suggestions for misspelt names; TOML files; --set."""
 
 from __future__ import annotations
 

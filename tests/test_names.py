@@ -1,4 +1,4 @@
-"""One name, one meaning: what a reader who searches for a word finds."""
+"""A name has one meaning in the package, so that a search for a word finds one thing."""
 
 from __future__ import annotations
 

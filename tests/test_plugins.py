@@ -1,4 +1,4 @@
-"""Names resolve whatever their case; unknown ones get a suggestion."""
+"""Names of plug-ins resolve in any case; unknown ones get a suggestion."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
 
 
 def install(entry_point: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """Install a package in *folder* that registers *entry_point* among the shapes."""
+    """Install a package in *folder* that registers *entry_point* in the group of the shapes."""
     info = folder / "their_plugin-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-plugin\nVersion: 1.0\n")

@@ -1,4 +1,4 @@
-"""``ads.convert``: the same as the command, with the same options."""
+"""``ads.convert`` gives the same results as the command, with the same options."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_every_option_of_the_command_is_one_of_the_function() -> None:
 
 
 def test_the_same_files_as_the_command(tmp_path: Path) -> None:
-    """Streets beyond the rim, return edges, guessed lights and crossings, OpenDRIVE, a page and a driving test."""
+    """With streets beyond the rim, return edges, guessed lights and crossings, OpenDRIVE, report and driving test."""
     hd_map, osm = road_both_ways(tmp_path), town().write(tmp_path / "town.osm")
     words = ("--osm", osm, "--close-rim", "--tls", "guess", "--crossings", "guess", "--opendrive", "--report")
     more = ("--drive", 5, "--seed", 3, "--righthand")

@@ -1,4 +1,4 @@
-"""The notebook of the docs runs from top to bottom and shows what it says."""
+"""The notebook of the docs runs completely and shows the results that it describes."""
 
 from __future__ import annotations
 

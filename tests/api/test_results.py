@@ -1,4 +1,4 @@
-"""The Python API: runs, results, what they show."""
+"""The Python API: runs, their results, and what these show in a notebook."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SCENE = {"warmup_s": 10.0, "scenes_per_warmup": 2, "min_neighbours": 1}
 
 
 class Accelerates:
-    """A planner of a user's, which is no plug-in and has no name."""
+    """A user's planner, which is neither a plug-in nor named."""
 
     def __init__(self, accel_mps2: float) -> None:
         self.accel_mps2 = accel_mps2
@@ -37,7 +37,7 @@ class Accelerates:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> ads.Results:
-    """Two short episodes of a planner that was given as an object."""
+    """Two short episodes of a planner that is given as an object."""
     out = tmp_path_factory.mktemp("api") / "run"
     return ads.run(target=Accelerates(2.0), episodes=2, horizon_s=4.0, scene=SCENE, out=out, seed=1)
 
@@ -93,7 +93,7 @@ def test_what_is_not_there_is_said_in_one_sentence(results: ads.Results, tmp_pat
 
 
 class Lost:
-    """Fails in its first plan."""
+    """A planner that raises in its first plan."""
 
     def start(self, road: object, scene: object, rng: object) -> None:
         return None

@@ -1,4 +1,4 @@
-"""Vehicles that an actuator moves on the tiny nets."""
+"""Helpers that move vehicles with an actuator on the tiny nets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NOBODY = np.zeros(0, dtype=np.int64)
 
 
 def actuator_on(s: Stage, net: Path) -> Actuator:
-    """Return an actuator whose world knows every vehicle of SUMO."""
+    """Return an actuator whose world has a row for every vehicle in SUMO."""
     world = World()
     register(world, s.api, s.api.vehicle.getIDList())
     read(world, s.api, NOBODY)
@@ -34,7 +34,7 @@ def move(
     *,
     take_out: bool = True,
 ) -> None:
-    """Move *row* as the loop does, one step, and take out whom SUMO should not have."""
+    """Move *row* for one step, as the loop does, and remove vehicles that must not stay in SUMO."""
     rows = np.array([row])
     at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
     actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)

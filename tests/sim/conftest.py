@@ -1,4 +1,4 @@
-"""The tiny nets, and a scene on the shipped downtown, made once."""
+"""Fixtures: the tiny nets, and a scene on the shipped downtown, each made once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def road(networks: Path) -> RoadMap:
 
 @pytest.fixture(scope="session")
 def scene(road: RoadMap) -> SeedScene:
-    """Traffic of SUMO on the downtown, for episodes of up to 8 s."""
+    """SUMO traffic on the downtown, for episodes of up to 8 s."""
     options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
     return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(3)).batch(0)[0]
 
@@ -41,7 +41,7 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def unregulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The net of :func:`nets.crossing` without any rule."""
+    """The net of :func:`nets.crossing` without any right of way."""
     return nets.crossing(tmp_path_factory.mktemp("unregulated"), "unregulated")
 
 

@@ -1,4 +1,4 @@
-"""Vehicles wander over a net as moved ones do, off their lanes too: run in a process of its own, which may die.
+"""Move vehicles at random over a net, also off their lanes; run in a process of its own, which SUMO may end.
 
 ``python -m tests.sim.moved_walk NET SEED``
 """
@@ -24,7 +24,7 @@ _TYPE = "DEFAULT_VEHTYPE"
 
 
 def walk(net: Path, seed: int) -> None:
-    """Let vehicles around one junction of *net* wander for 15 s; the loop's order of calls."""
+    """Move vehicles around one junction of *net* for 15 s, with the calls in the loop's order."""
     road, rng = RoadMap.read(net), np.random.default_rng(seed)
     with Session(SessionOptions(net, seed)) as session:
         world = World()
@@ -52,7 +52,7 @@ def walk(net: Path, seed: int) -> None:
 
 
 def _placed(road: RoadMap, world: World, rng: np.random.Generator) -> FloatArray:
-    """Put rows on lanes around one junction."""
+    """Put vehicles on lanes around one junction and return their rows."""
     lanes = [lane for lane in road.lanes.values() if not lane.is_internal and lane.length_m > 10.0]
     middle = lanes[rng.integers(len(lanes))].line.xy_m[-1]
     near = [x for x in lanes if np.hypot(*(x.line.xy_m - middle).T).min() < _NEAR_M]
@@ -65,7 +65,7 @@ def _placed(road: RoadMap, world: World, rng: np.random.Generator) -> FloatArray
 
 
 def _plan(road: RoadMap, actuator: Actuator, rows: FloatArray, rng: np.random.Generator) -> None:
-    """Insert who is on a lane again, and tell SUMO where the others are going."""
+    """Insert vehicles that are on a lane again, and tell SUMO the routes of the others."""
     world = actuator.world
     waiting = np.array(sorted(actuator.outside), dtype=np.int64)
     if len(waiting):

@@ -1,4 +1,4 @@
-"""Tiny nets made by netconvert, and hands that hold vehicles where a test wants them."""
+"""Tiny nets made by netconvert, and a stage that holds vehicles at given poses."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def street(folder: Path) -> Path:
 
 
 def crossing(folder: Path, kind: str = "priority") -> Path:
-    """Single lanes crossing at the origin; the street along x has priority (where *kind* knows any)."""
+    """Single lanes that cross at the origin; the street along x has priority (if *kind* has priorities)."""
     return build(folder, CROSSING[0].format(kind=kind), CROSSING[1], name=f"crossing-{kind}")
 
 
@@ -100,10 +100,10 @@ def bend(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Started(SessionOptions):
-    """Our own way to start SUMO, with some options otherwise.
+    """The package's way to start SUMO, with some options changed.
 
     Attributes:
-        otherwise: option → value, or None to leave it out.
+        otherwise: option → value, or None to omit it.
     """
 
     otherwise: Mapping[str, object] = field(default_factory=dict)
@@ -118,12 +118,12 @@ class Started(SessionOptions):
 
 @dataclass
 class Stage:
-    """A running simulation whose vehicles are put in place by centre and heading.
+    """A running simulation with vehicles at given centres and headings.
 
     Attributes:
         api: libsumo.
-        session: ours.
-        held: name → (centre, yaw), moved there before every step.
+        session: of the package.
+        held: name → (centre, yaw) to which the vehicle is moved before every step.
         routes: number of routes made.
     """
 
@@ -142,7 +142,7 @@ class Stage:
         speed: float = 0.0,
         kind: str = "car",
     ) -> None:
-        """Insert a car, LENGTH_M by WIDTH_M, without random differences, its bumper *at* metres; a step passes."""
+        """Insert a car of LENGTH_M by WIDTH_M without random differences, its bumper *at* metres; SUMO does a step."""
         vehicle = self.api.vehicle
         self.routes += 1
         self.api.route.add(f"r{self.routes}", list(edges))
@@ -153,12 +153,12 @@ class Stage:
             raise AssertionError(f"{name} was not inserted")
 
     def free(self, name: str) -> None:
-        """Let *name* go anywhere at any speed."""
+        """Switch off SUMO's checks of lane and speed for *name*."""
         self.api.vehicle.setSpeedMode(name, 0)
         self.api.vehicle.setLaneChangeMode(name, 0)
 
     def hold(self, name: str, x: float, y: float, yaw: float = EAST) -> None:
-        """Keep *name* with its box centre there from the next step on."""
+        """Keep the box centre of *name* at a pose from the next step on."""
         if name not in self.held:
             self.free(name)
         self.held[name] = np.array((x, y)), yaw
@@ -169,7 +169,7 @@ class Stage:
         self.api.vehicle.moveToXY(name, "", -1, x, y, angle=float(sumo_from_yaw(yaw)), keepRoute=keep_route)
 
     def step(self) -> None:
-        """Hold and step."""
+        """Let SUMO do a step with all held vehicles in place."""
         for name, (xy, yaw) in self.held.items():
             self.put(name, xy, yaw)
         self.session.step()

@@ -1,4 +1,4 @@
-"""ScenarioNet records of a made-up drive along a made-up street, as ScenarioNet's converter writes them."""
+"""ScenarioNet records of a synthetic drive along a synthetic street, in the format of ScenarioNet's converter."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def record(
     dataset: str = "nuscenes",
     told: bool = False,
 ) -> dict[str, Any]:
-    """Return a drive that begins at *origin_m* in its map's frame, and is moved so that this is (0, 0).
+    """Return a drive that begins at *origin_m* in its map's frame, and is shifted so that this is (0, 0).
 
     Args:
-        origin_m: where the ego's rear axle is first.
+        origin_m: where the ego's rear axle is at first.
         heading_rad: of the street, on which it drives for 12 s.
         place: name of the map.
         dataset: name of the data set.
-        told: the record says what it was moved by, and has nobody absent who gives it away.
+        told: whether the record contains the shift, and no absent agent from which it could be computed.
     """
     along = np.array([np.cos(heading_rad), np.sin(heading_rad)])
     ego = SPEED_MPS * DT_S * np.arange(STEPS)[:, None] * along

@@ -1,4 +1,4 @@
-"""Episodes that several test modules run."""
+"""Episodes and a policy that several test modules use."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def episode(
 
 @contextmanager
 def running(made: Episode, folder: Path) -> Iterator[Loop]:
-    """Yield the started loop of an episode, so that SUMO can be asked in between."""
+    """Yield the started loop of an episode, so that a test can query SUMO in between."""
     preparation = prepare(made.scene, made.target, made.sim, folder)
     with Session(preparation.options) as session:
         loop = Loop(made, session, preparation.type_of_class)
@@ -58,13 +58,13 @@ def running(made: Episode, folder: Path) -> Iterator[Loop]:
 
 
 class StraightOn:
-    """Every movable vehicle keeps speed and heading: crude, but a bicycle can drive it."""
+    """All movable vehicles keep speed and heading; a bicycle model can drive this."""
 
     def __init__(self, speed_mps: float | None = None, until_s: float = np.inf) -> None:
         self.speed_mps, self.until_s = speed_mps, until_s
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:
-        """Nothing to remember."""
+        """Return no memory."""
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator

@@ -1,4 +1,4 @@
-"""Any composition of rare but valid features is a net to drive on: episodes end, and their states are sound."""
+"""Nets with any combination of rare but valid features can be driven: episodes end, and their states are sound."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def scene_on(road: RoadMap, seed: int) -> SeedScene:
 
 
 def drive(names: set[str], seed: int, target: str, background: str) -> list[str]:
-    """Drive an episode on a net with the features *names*; return what is wrong with it, as the soak does."""
+    """Drive an episode on a net with the features *names*; return the faults that the soak test finds in it."""
     with tempfile.TemporaryDirectory() as folder:
         road = RoadMap.read(build(Path(folder), names))
         record, timing = episode(scene_on(road, seed), road, target, background, HORIZON_S).run()

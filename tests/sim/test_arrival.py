@@ -42,7 +42,7 @@ def test_a_fast_target_arrives_before_it_runs_off_the_net(networks: Path) -> Non
 
 
 class OffTheRoad:
-    """Turns by a radian to the right at 8 m/s, and goes straight on."""
+    """Turns by a radian to the right at 8 m/s, and continues straight on."""
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> float:
         return float(scene.history.yaw_rad[scene.target, -1]) - 1.0
@@ -57,8 +57,10 @@ class OffTheRoad:
         return Controls(np.full(10, np.clip(faster, -3.0, 2.0)), np.full(10, steer), 0.1), memory
 
 
-def test_who_leaves_the_road_on_the_last_edge_does_not_arrive(scene: SeedScene, road: RoadMap) -> None:
-    """It has driven farther than its route had left, and is nowhere near its end."""
+def test_a_target_that_leaves_the_road_on_the_last_edge_does_not_arrive(
+    scene: SeedScene, road: RoadMap
+) -> None:
+    """It has driven farther than the rest of its route, but is not near the end."""
     name = scene.target
     short = replace(scene, routes={**scene.routes, name: scene.routes[name][:1]})
     record, _ = episode(short, road, target=OffTheRoad(), horizon_s=10.0).run()

@@ -1,4 +1,4 @@
-"""What SUMO's own collision list says about pairs of moved vehicles, and what is true (docs/sumo.md)."""
+"""What SUMO's own collision list reports about pairs of moved vehicles, and what is true (docs/sumo.md)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SETTINGS: dict[str, tuple[float, dict[str, object]]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table: two vehicles, whether their boxes overlap, and SUMO's word in each setting."""
+    """One row of the table: two vehicles, whether their boxes overlap, and SUMO's report in each setting."""
 
     net: str
     a: Pose
@@ -81,7 +81,7 @@ SIZE_M = np.array((5.0, 1.8))
 
 
 def put_in_place(s: Stage, row: Row) -> World:
-    """Insert both; then b jumps from 9 m aside (a reachable place) to its pose, a stays."""
+    """Insert both; then b is moved to its pose from 9 m aside, which SUMO accepts, and a stays."""
     s.add("a", row.ways[0], lane=row.lanes[0], at=20, kind=row.kind)
     s.add("b", row.ways[1], lane=row.lanes[1], at=60, kind=row.kind)
     world = World()

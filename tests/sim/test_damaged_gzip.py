@@ -1,4 +1,4 @@
-"""Gzipped nets, demand, maps, logs and records that are cut off or damaged: one sentence with the file and a remedy."""
+"""Truncated or damaged gzip files (nets, demand, maps, logs, records) give one sentence with file and remedy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCENARIO = b"<commonRoad>" + b"<!-- some words to pack -->" * 400 + b"</commonRo
 
 
 def routes(count: int = 900) -> bytes:
-    """Return more routes than a check of demand looks at."""
+    """Return more routes than a check of demand reads."""
     names = np.random.default_rng(1).integers(10**9, size=count)  # which do not pack well
     rows = (
         f'<vehicle id="{names[k]}-{k}" depart="{k}"><route edges="WM ME"/></vehicle>' for k in range(count)
@@ -36,7 +36,7 @@ def read_log(path: Path) -> object:
 
 
 def damaged(packed: bytes) -> Iterator[bytes]:
-    """Yield *packed* cut off in its head, its middle and its last bytes, with another checksum and with a gap."""
+    """Yield *packed* truncated in its head, its middle and its last bytes, with another checksum and with a gap."""
     yield from (packed[:size] for size in (3, 12, len(packed) // 2, len(packed) - 9, len(packed) - 1))
     yield packed[:-8] + bytes(8)
     yield packed[:40] + bytes(20) + packed[60:]
@@ -49,7 +49,7 @@ def road(street: Path) -> RoadMap:
 
 
 def refusals(path: Path, whole: bytes, read: Callable[[Path], object]) -> set[str]:
-    """Return what *read* says of *path* with *whole* damaged in each way; it must refuse every one."""
+    """Return the messages of *read* for *path* with *whole* damaged in each way; it must refuse each."""
     said = set()
     for content in damaged(gzip.compress(whole, mtime=0)):
         path.write_bytes(content)

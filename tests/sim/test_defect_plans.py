@@ -1,4 +1,4 @@
-"""A defect changes what is driven, never what is accepted: any plan is taken or refused in the words without it."""
+"""A defect changes what is driven, never which plans are accepted: plans are refused with the same message."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SECOND = 0.1 * np.arange(1, 21)
 
 
 class Gives:
-    """Answers with what it is made with."""
+    """A planner whose plan is the result of a given function."""
 
     def __init__(self, answer: Callable[[Scene], Any]) -> None:
         self.answer = answer

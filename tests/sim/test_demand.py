@@ -72,7 +72,7 @@ def test_density_is_vehicles_per_kilometre_of_lane(road: RoadMap, tmp_path: Path
 
 
 def test_density_counts_lanes_for_cars_alone(tmp_path: Path) -> None:
-    """Four edges of 200 m with a lane for cars beside a sidewalk and one for bicycles: 20 per km of 0.8 km are 16."""
+    """Four edges of 200 m with one lane for cars, a sidewalk and one for bicycles: 20 per km of 0.8 km are 16."""
     nodes, edges = nets.STREET
     beside = '><lane index="0" allow="pedestrian"/><lane index="1" allow="bicycle"/></edge>'
     lanes = edges.replace('numLanes="2"', 'numLanes="3"').replace("/>", beside)

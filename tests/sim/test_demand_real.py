@@ -1,4 +1,4 @@
-"""Traffic on nets that nobody here made: the demand that came with them, and generated demand."""
+"""Traffic on nets from elsewhere: with their own demand, and with generated demand."""
 
 from __future__ import annotations
 

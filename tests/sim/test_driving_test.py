@@ -1,4 +1,4 @@
-"""The driving test counts what can be counted by hand, and finds faults that were built in."""
+"""The driving test counts what can be counted by hand, and finds planted faults of nets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ THROUGH = (  # two roads that cross without a junction: nobody yields
 
 
 def row(x: float, y: float, compass_deg: float, lane: str = "a_0", speed: float = 5.0) -> dict[int, object]:
-    """What SUMO tells of a car: front bumper, compass heading, speed and lane."""
+    """SUMO's values of a car: front bumper, compass heading, speed and lane."""
     return {
         libsumo.VAR_POSITION: (x, y),
         libsumo.VAR_ANGLE: compass_deg,
@@ -36,7 +36,7 @@ def row(x: float, y: float, compass_deg: float, lane: str = "a_0", speed: float 
 
 
 def test_cars_in_the_hour(tmp_path: Path) -> None:
-    """One sets out every 120 s and is gone within 80 s: never two at a time."""
+    """One departs every 120 s and has arrived within 80 s: there are never two at a time."""
     found = driving_test(build(tmp_path, *ROAD), vehicles=5, duration_s=600.0)
     assert (found["vehicles"], found["meaning"]) == (5, "in all")
     assert (found["arrived"], found["vehicles_most"]) == (5, 1)
@@ -125,7 +125,7 @@ def test_trips_are_at_least_200_m_and_repeat_with_the_seed(tmp_path: Path) -> No
     ],
 )
 def test_boxes_touch_as_worked_out(other: dict[int, object], touch: bool) -> None:
-    """A car of 4.6 × 1.9 m eastwards with its front at (10, 0) covers x from 5.4 to 10 and y from −0.95 to 0.95."""
+    """A car of 4.6 × 1.9 m, facing east, front at (10, 0), covers x from 5.4 to 10 and y from −0.95 to 0.95."""
     state = {"one": row(10.0, 0.0, 90.0), "other": other}
     assert _contacts(state) == ({("one", "other")} if touch else set())  # type: ignore[arg-type]
 

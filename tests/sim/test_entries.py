@@ -1,4 +1,4 @@
-"""Who comes in and who leaves by a policy's plan, worked by hand and in a running simulation."""
+"""Vehicles that appear or leave by a policy's plan, worked by hand and in a running simulation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def tracks_at(valid: list[bool], x_m: list[float]) -> Tracks:
 NOWHERE = np.full((1, 2), np.nan), np.full(1, np.nan), np.full(1, np.nan)
 
 
-def test_who_is_not_there_yet_comes_along_its_first_heading() -> None:
+def test_an_absent_vehicle_approaches_along_its_first_heading() -> None:
     now, plan = completed(tracks_at([True, True], [12.0, 14.0]), NOWHERE)
     assert now[0].tolist() == [[10.0, 0.0]]
     assert now[2].tolist() == [4.0]
@@ -51,7 +51,7 @@ def test_a_plan_that_begins_late_or_ends_early_is_completed() -> None:
     assert plan[0][0, :, 0].tolist() == [10.0, 12.0, 14.0, 16.0]
 
 
-def test_who_is_there_and_never_valid_leaves_at_once() -> None:
+def test_a_present_vehicle_without_a_valid_state_leaves_at_once() -> None:
     tracks = tracks_at([False, False], [0.0, 0.0])
     here = np.array([[5.0, 0.0]]), np.zeros(1), np.array([2.0])
     _, plan = completed(tracks, here)
@@ -60,7 +60,7 @@ def test_who_is_there_and_never_valid_leaves_at_once() -> None:
 
 
 def test_presence_by_the_step() -> None:
-    """Instants of the plan are 0.5 and 1 s from now; who is there stays until its last one, a newcomer waits."""
+    """The plan's instants are 0.5 and 1 s from now; present vehicles stay until their last one, new ones wait."""
     both, first = tracks_at([True, True], [12.0, 14.0]), tracks_at([True, False], [12.0, 0.0])
     there, new = np.array([False]), np.array([True])
     assert presence(both, there, 0.25, 4).tolist() == [[True] * 4]
@@ -80,17 +80,17 @@ def test_presence_by_the_step() -> None:
         (np.nan, np.nan, np.nan, True),
     ],
 )
-def test_who_comes_in_leaves_others_room_to_stop(
+def test_a_vehicle_appears_only_where_followers_can_still_brake(
     behind_m: float, heading_rad: float, speed_mps: float, room: bool
 ) -> None:
-    """Somebody comes in to stand at the origin, facing east."""
+    """A vehicle is to appear at the origin, standing and facing east."""
     new = np.zeros((1, 2)), np.zeros(1), np.zeros(1)
     other = np.array([[-behind_m, 0.0]]), np.array([heading_rad]), np.array([speed_mps])
     assert have_room(new, other).tolist() == [room]
 
 
 class Arrival:
-    """A vehicle comes in at the first plan, 40 m ahead of the target on the line of its heading, and leaves at 2 s."""
+    """A vehicle appears at the first plan, 40 m ahead of the target on the line of its heading, and leaves at 2 s."""
 
     def __init__(self, exact: bool) -> None:
         self.exact = exact
@@ -98,7 +98,7 @@ class Arrival:
     def start(
         self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, float]:
-        """Return where it is at 0 s, and its heading: those of the lane there."""
+        """Return position and heading at 0 s, those of the lane there."""
         now, row = scene.history, scene.target
         here = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
         assert here is not None
@@ -108,7 +108,7 @@ class Arrival:
     def plan(
         self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator
     ) -> tuple[JointPlan, Any]:
-        """Return two seconds at 5 m/s straight on, as long as it is there."""
+        """Return two seconds at 5 m/s straight on, as long as the vehicle is present."""
         times = scene.time_s + 0.5 * np.arange(1.0, 5.0)
         there = times <= 2.0
         gaps = np.where(there, 1.0, np.nan)
@@ -129,7 +129,7 @@ class Arrival:
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_a_policy_brings_a_vehicle_in_and_takes_it_away(scene: SeedScene, road: RoadMap, exact: bool) -> None:
-    """In traffic of SUMO's demand as well, where vehicles of the demand itself come in by themselves."""
+    """Also in traffic of SUMO's demand, where SUMO inserts vehicles of its own."""
     record, _ = episode(scene, road, background=Arrival(exact), horizon_s=4.0).run()
     assert record.failure is None
     row = record.tracks.index["newcomer"]
@@ -142,7 +142,7 @@ def test_a_policy_brings_a_vehicle_in_and_takes_it_away(scene: SeedScene, road: 
 
 
 class OutOfSight(Arrival):
-    """A vehicle that comes in where another one is, ``ahead_m`` further on than the target."""
+    """A vehicle that appears where another one is, ``ahead_m`` further on than the target."""
 
     def __init__(self, ahead_m: float) -> None:
         super().__init__(exact=False)
@@ -151,7 +151,7 @@ class OutOfSight(Arrival):
     def start(
         self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator
     ) -> tuple[np.ndarray, float]:
-        """Return the place of who is nearest to ``ahead_m`` from the target."""
+        """Return the position of the vehicle that is nearest to ``ahead_m`` from the target."""
         assert log is not None
         now = log.xy_m[:, 0]
         apart = np.linalg.norm(now - now[log.index[scene.target_id]], axis=-1)
@@ -159,8 +159,8 @@ class OutOfSight(Arrival):
         return now[row], float(log.yaw_rad[row, 0])
 
 
-def test_nobody_comes_in_out_of_sight_upon_somebody_else(scene: SeedScene, road: RoadMap) -> None:
-    """The policy sees 20 m, so that its vehicle 60 m away is left out, and the episode goes on."""
+def test_no_vehicle_appears_out_of_sight_on_top_of_another_one(scene: SeedScene, road: RoadMap) -> None:
+    """The policy sees 20 m. Its vehicle 60 m away is left out, and the episode continues."""
     made = episode(scene, road, background=OutOfSight(60.0), horizon_s=2.0, observe_radius_m=20.0)
     record, _ = made.run()
     assert record.failure is None

@@ -27,7 +27,7 @@ from tests.sim.scenes import StraightOn, episode, running
 
 
 def continuous(record: EpisodeRecord, slack_m: float = 0.6, slack_rad: float = 0.35) -> None:
-    """Nobody jumps: not while driven by SUMO, not while moved, and not when handed over."""
+    """Assert that no vehicle jumps: driven by SUMO, moved, or when handed over."""
     tracks = record.tracks
     both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
     stride = np.linalg.norm(np.diff(tracks.xy_m, axis=1), axis=-1)
@@ -121,10 +121,10 @@ def test_vehicles_are_taken_over_and_handed_back_without_a_jump(scene: SeedScene
     continuous(record)
 
 
-def test_who_is_taken_keeps_the_route_that_sumo_has_for_it(
+def test_a_moved_vehicle_keeps_the_route_that_sumo_had_for_it(
     scene: SeedScene, road: RoadMap, tmp_path: Path
 ) -> None:
-    """Another one than its seed scene tells, as of who was put in, or departed later."""
+    """This route differs from the seed scene's for vehicles that were inserted or departed later."""
     with running(episode(scene, road, background=StraightOn(), control_radius_m=60.0), tmp_path) as loop:
         vehicle, given = loop.api.vehicle, {}
         for name in scene.history.ids:
@@ -159,7 +159,7 @@ def test_a_target_off_its_route_has_the_edges_ahead_as_its_route_in_sumo(
 
 
 def test_a_plan_must_reach_to_the_next_one(scene: SeedScene, road: RoadMap) -> None:
-    """Half a second is long enough with a plan every model step, and not with one every other."""
+    """Half a second is long enough with a plan every model step, but not with one every second model step."""
     short = Braking()
     for every, end in ((1, EndReason.HORIZON), (2, EndReason.FAILED)):
         record, _ = episode(scene, road, target=short, horizon_s=2.0, replan_every=every).run()
@@ -205,9 +205,7 @@ class AsLongAsItMust(Braking):
 
 
 @pytest.mark.parametrize("target", [AsLongAsItMust(), with_faults(AsLongAsItMust(), (WeakBrakes(2.5),))])
-def test_a_planner_is_told_how_long_its_plan_must_be(
-    scene: SeedScene, road: RoadMap, target: Planner
-) -> None:
+def test_a_planner_knows_how_long_its_plan_must_be(scene: SeedScene, road: RoadMap, target: Planner) -> None:
     for every in (1, 3):
         record, _ = episode(scene, road, target=target, horizon_s=3.0, replan_every=every).run()
         assert record.end is EndReason.HORIZON
@@ -221,8 +219,8 @@ def test_the_policy_moves_only_what_is_near_the_target(scene: SeedScene, road: R
     assert (gap[:, :-1][begun] <= 25.0 + 1e-9).all()
 
 
-def test_inside_a_junction_nobody_changes_hands(scene: SeedScene, road: RoadMap, tmp_path: Path) -> None:
-    """Beyond all radii, a vehicle that is moved stays with the policy, which sees those around it."""
+def test_inside_a_junction_no_vehicle_is_handed_over(scene: SeedScene, road: RoadMap, tmp_path: Path) -> None:
+    """Even beyond all radii, a moved vehicle there stays with the policy, which sees the vehicles around it."""
     radii = {"control_radius_m": 5.0, "observe_radius_m": 10.0, "record_radius_m": 10.0}
     with running(episode(scene, road, horizon_s=8.0, **radii), tmp_path) as loop:
         world, rows = loop.world, np.zeros(0, dtype=np.int64)
@@ -245,7 +243,7 @@ def test_inside_a_junction_nobody_changes_hands(scene: SeedScene, road: RoadMap,
 
 
 class FarthestSeen(StraightOn):
-    """Traffic that drives straight on, and remembers how far from the target it sees anybody."""
+    """Traffic that drives straight on, and records the largest distance from the target at which it sees a vehicle."""
 
     farthest_m = 0.0
 
@@ -255,7 +253,7 @@ class FarthestSeen(StraightOn):
         return super().plan(road, scene, memory, rng)
 
 
-def test_who_is_moved_sees_farther_than_the_target(scene: SeedScene, road: RoadMap) -> None:
+def test_a_moved_vehicle_sees_farther_than_the_target(scene: SeedScene, road: RoadMap) -> None:
     planner, policy = Straight(), FarthestSeen()
     radii = {"control_radius_m": 30.0, "observe_radius_m": 30.0, "horizon_s": 5.0}
     record, _ = episode(scene, road, target=planner, background=policy, **radii).run()
@@ -265,10 +263,10 @@ def test_who_is_moved_sees_farther_than_the_target(scene: SeedScene, road: RoadM
     assert policy.farthest_m > 40.0
 
 
-def test_who_sumo_is_about_to_take_off_the_net_is_left_to_it(
+def test_a_vehicle_that_is_about_to_arrive_is_left_to_sumo(
     scene: SeedScene, road: RoadMap, tmp_path: Path
 ) -> None:
-    """At its goal a vehicle does not brake for whoever stands beyond it: taken over, it could not stop any more."""
+    """SUMO's driver does not brake for vehicles beyond its goal. Once moved, such a vehicle could not stop any more."""
     with running(episode(scene, road, horizon_s=30.0, control_radius_m=200.0), tmp_path) as loop:
         world, vehicle = loop.world, loop.api.vehicle
         for steps in range(5, 301, 5):
@@ -298,7 +296,7 @@ def test_the_same_episode_gives_the_same_record(scene: SeedScene, road: RoadMap)
 
 
 class Straight:
-    """A planner that drives on, or does something that it must not do."""
+    """A planner that drives straight on, or does one thing that is not allowed."""
 
     def __init__(self, fault: str = "") -> None:
         self.fault, self.farthest_m = fault, 0.0
@@ -347,7 +345,7 @@ def test_a_faulty_planner_ends_the_episode_as_a_typed_failure(
 
 
 class Broken(StraightOn):
-    """A policy that plans for the target, or a jump."""
+    """A policy that plans for the target, or plans a jump."""
 
     def __init__(self, fault: str) -> None:
         super().__init__()
@@ -377,7 +375,7 @@ def test_a_faulty_policy_is_refused_before_sumo_sees_it(
 
 
 class Exact(StraightOn):
-    """A log of vehicles that stand turned by *turn*, *away_m* from where they are, for the first second."""
+    """A log of vehicles that stand, turned by *turn* and *away_m* from where they are, for the first second."""
 
     def __init__(self, turn: float, away_m: float) -> None:
         super().__init__(speed_mps=0.0, until_s=1.0)
@@ -392,7 +390,7 @@ class Exact(StraightOn):
 
 
 def test_an_exact_plan_on_another_step_begins_where_its_vehicles_are(scene: SeedScene, road: RoadMap) -> None:
-    """Between now and its first instant nobody was there, and all were taken off the scene."""
+    """Without this, vehicles would be absent until the plan's first instant and be removed from the scene."""
     made = episode(scene, road, background=Exact(0.0, 0.0), horizon_s=1.0, step_s=0.05, control_radius_m=40.0)
     record, _ = made.run()
     moved = (record.controller == Controller.POLICY).any(axis=1)
@@ -435,8 +433,8 @@ def test_vehicles_that_sumo_gets_back_askew_are_counted(scene: SeedScene, road: 
     assert record.skipped_agents == 0
 
 
-def test_vehicles_that_stand_askew_drive_off_and_come_straight(scene: SeedScene, road: RoadMap) -> None:
-    """Twenty-three degrees off their lanes."""
+def test_misaligned_standing_vehicles_start_and_align(scene: SeedScene, road: RoadMap) -> None:
+    """They are turned by 23 degrees from their lanes."""
     record, _ = episode(scene, road, horizon_s=9.0, background=Exact(0.4, 0.0), control_radius_m=40.0).run()
     moved = (record.controller == Controller.POLICY).any(axis=1)
     back = (record.controller[moved] == Controller.SUMO).any(axis=1)

@@ -1,4 +1,4 @@
-"""Vehicles go back to SUMO without a jump in position, speed or heading."""
+"""Vehicles return to SUMO without a jump in position, speed or heading."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ POSITION_M, SPEED_MPS, HEADING_RAD = 0.01, 0.5, 0.06
 
 @dataclass
 class Released:
-    """States (T, 4) x, y, yaw, speed of one vehicle at each step, and the step at which SUMO took over."""
+    """States (T, 4) x, y, yaw, speed of one vehicle at each step, and when SUMO took it over."""
 
     states: np.ndarray
     at: int
@@ -41,10 +41,9 @@ class Released:
     def check_smooth(self, corner_rad: float = 0.0) -> None:
         """Assert that nothing jumps in the step in which SUMO takes over.
 
-        A vehicle beside the centre line turns, and moves by up to 1.5 m × *corner_rad*, where its pieces meet.
+        Where the pieces of the centre line meet, a vehicle beside it turns, and moves by up to 1.5 m × *corner_rad*.
 
-        The position is that of the front bumper, by which SUMO steers; a change of heading swings the centre
-        about it.
+        The position is that of the front bumper, by which SUMO steers; a change of heading swings the centre about it.
         """
         xy, yaw, speed = self.states[:, :2], self.states[:, 2], self.states[:, 3]
         bumper = bumper_from_centre(xy, yaw, np.full(len(yaw), LENGTH_M))
@@ -67,7 +66,7 @@ def hand_over(
     turn: float,
     speed: float,
 ) -> Released:
-    """Hold a vehicle along a lane for 1 s, *d_m* to its left and turned by *turn*, then plan for it no more."""
+    """Move a vehicle along a lane for 1 s, *d_m* to its left and turned by *turn*, then stop planning for it."""
     s.add("b", route, at=20.0)
     world = World()
     register(world, s.api, ["b"])
@@ -87,7 +86,7 @@ def hand_over(
         out.append((*world.xy_m[0], world.yaw_rad[0], world.speed_mps[0]))
 
     def come_back() -> None:
-        """Bring it into SUMO again once it is back on a lane, as the loop does."""
+        """Insert it into SUMO again once it is back on a lane, as the loop does."""
         if actuator.outside and actuator.on_lanes(rows, world.xy_m[rows], world.yaw_rad[rows]):
             actuator.insert(0, "car")
 
@@ -157,8 +156,8 @@ def test_on_a_junction(crossing: Path, route: tuple[str, str]) -> None:
     assert got.rough == []
 
 
-def test_who_stands_in_a_turn_clears_it_behind_the_oncoming(crossing: Path) -> None:
-    """It stands before the middle of a left turn while SUMO drives one towards it that has the right of way."""
+def test_a_vehicle_standing_in_a_turn_yields_to_oncoming_traffic_and_leaves(crossing: Path) -> None:
+    """It stands before the middle of a left turn, while SUMO drives an oncoming vehicle that has the right of way."""
     road, routes = RoadMap.read(crossing), {"b": ("WC", "CN"), "o": ("EC", "CW")}
     lane = next(link.via[0] for link in road.lanes["WC_0"].successors if link.to_lane == "CN_0")
     point, yaw = road.to_world(lane, 1.0)
@@ -196,7 +195,7 @@ def test_who_stands_in_a_turn_clears_it_behind_the_oncoming(crossing: Path) -> N
 
 
 @pytest.mark.parametrize("turn", [0.3, -0.3, 0.8])
-def test_who_stands_askew_is_aligned_first(street: Path, turn: float) -> None:
+def test_a_misaligned_standing_vehicle_is_aligned_first(street: Path, turn: float) -> None:
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.3, turn, 8.0)
     got.check_smooth()
@@ -204,7 +203,7 @@ def test_who_stands_askew_is_aligned_first(street: Path, turn: float) -> None:
     assert got.rough == []
 
 
-def test_who_stands_askew_sets_off(street: Path) -> None:
+def test_a_misaligned_standing_vehicle_starts(street: Path) -> None:
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 0.4, 0.0)
     got.check_smooth()
@@ -212,16 +211,16 @@ def test_who_stands_askew_sets_off(street: Path) -> None:
     assert got.rough == []
 
 
-def test_who_cannot_be_aligned_is_handed_back_all_the_same_and_counted(street: Path) -> None:
-    """Across its lane no lane leads on."""
+def test_a_vehicle_that_cannot_be_aligned_is_handed_back_and_counted(street: Path) -> None:
+    """It stands across its lane, from which no lane leads on."""
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 1.3, 0.0)
     assert got.rough == ["b"]
     assert got.waited_s == pytest.approx(8.0, abs=0.5)
 
 
-def test_who_is_left_far_from_every_lane_stops(street: Path) -> None:
-    """30 m beside the street at 9 m/s: at 6 to 7 m/s² it stands after 5.79 to 6.75 m, not beyond open ground."""
+def test_a_vehicle_far_from_every_lane_stops(street: Path) -> None:
+    """30 m beside the street at 9 m/s: at 6 to 7 m/s² it stops after 5.79 to 6.75 m, and not later."""
     road = RoadMap.read(street)
     with stage(street) as s:
         world = World()
@@ -279,7 +278,7 @@ def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, 
 
 @dataclass
 class TakenBack:
-    """A follower at each step after SUMO took it back: speed, gap to its leader, and the headway that SUMO holds."""
+    """A follower at each step after SUMO took it back: speed, gap to its leader, and headway set in SUMO."""
 
     speed_mps: np.ndarray
     gap_m: np.ndarray
@@ -294,7 +293,7 @@ class TakenBack:
 def take_back_behind(
     net: Path, speed: float, gap: float, seconds: float, goes: float = np.inf, stands: bool = False
 ) -> TakenBack:
-    """Hold two cars one behind the other for 1 s, then let SUMO take back the one behind, and go on.
+    """Move two cars one behind the other for 1 s, then let SUMO take back the follower, and continue.
 
     The leader drives at *speed*, as the follower did; after *goes* seconds at 12 m/s; or it *stands* all the time.
     """
@@ -332,8 +331,8 @@ def take_back_behind(
     return TakenBack(*np.array(out).T)
 
 
-def test_who_follows_closely_widens_the_gap_slowly(street: Path) -> None:
-    """1.7 m at 3 m/s, where the driver keeps 2.5 + 3 m: SUMO alone brakes with 5 m/s² and more at once."""
+def test_a_close_follower_widens_the_gap_slowly(street: Path) -> None:
+    """1.7 m at 3 m/s, while the driver's own headway is 2.5 + 3 m: SUMO alone brakes with 5 m/s² and more at once."""
     got = take_back_behind(street, speed=3.0, gap=1.7, seconds=8.0)
     assert got.braking_mps2 < 1.0
     assert got.gap_m.min() > 1.5
@@ -348,15 +347,15 @@ def test_the_headway_is_the_drivers_own_again_once_the_gap_is(street: Path) -> N
     assert (got.min_gap_m[-1], got.tau_s[-1]) == (2.5, 1.0)
 
 
-def test_who_closes_up_on_somebody_who_stands_brakes_as_it_would(street: Path) -> None:
-    """5.5 m a second before, 2.5 m now, at 3 m/s."""
+def test_a_follower_that_approaches_a_standing_leader_brakes_as_sumo_does(street: Path) -> None:
+    """The gap was 5.5 m a second before and is 2.5 m now, at 3 m/s."""
     got = take_back_behind(street, speed=3.0, gap=5.5, seconds=2.0, stands=True)
     assert set(got.min_gap_m) == {2.5}
     assert set(got.tau_s) == {1.0}
     assert got.gap_m.min() > 0.5
 
 
-def test_who_keeps_its_distance_is_left_as_it_is(street: Path) -> None:
+def test_a_follower_at_its_own_headway_is_left_unchanged(street: Path) -> None:
     got = take_back_behind(street, speed=3.0, gap=8.0, seconds=2.0)
     assert set(got.min_gap_m) == {2.5}
     assert set(got.tau_s) == {1.0}

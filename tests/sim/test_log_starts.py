@@ -1,4 +1,4 @@
-"""Which instants of a driving log become seed scenes, on a street by hand."""
+"""Which instants of a driving log become seed scenes, on a hand-made street."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def source(street: Path, speed_mps: float, **scene: float) -> LoggedTraffic:
 
 @pytest.mark.parametrize("step_s", [0.04, 0.1, 0.2, 0.3, 1.0])
 def test_histories_are_at_model_steps_whatever_the_spacing_of_the_log(street: Path, step_s: float) -> None:
-    """Of a log every 0.2 s the instants 0.4 s apart had been taken for ones 0.5 s apart."""
+    """In a log with steps of 0.2 s, instants 0.4 s apart must not be taken for instants 0.5 s apart."""
     made = source(street, SPEED_MPS)
     drive = OneDrive(SPEED_MPS)
     drive.tracks = resample(drive.tracks, step_s)
@@ -78,7 +78,7 @@ def test_histories_are_at_model_steps_whatever_the_spacing_of_the_log(street: Pa
 
 
 def test_starts_at_which_the_ego_stands_are_passed_over_and_counted(street: Path) -> None:
-    """Starts are due at 2, 4, …, 14 s (6 s of future); up to 8 s the ego stands."""
+    """Starts are possible at 2, 4, …, 14 s (with 6 s of future); the ego stands up to 8 s."""
     logged = source(street, SPEED_MPS)
     assert [scene.name for scene in logged.scenes()] == ["drive-020", "drive-024", "drive-028"]
     assert logged.standing_starts() == 4
@@ -95,7 +95,7 @@ def test_what_a_run_or_sweep_says_of_standing_starts(street: Path) -> None:
 
 
 def test_a_log_without_a_history_is_refused_before_the_first_episode(street: Path) -> None:
-    """Who is in the log is let into SUMO in the step before the start; SUMO's own traffic is there already."""
+    """Vehicles of a log are inserted in the model step before the start; SUMO's own traffic is present already."""
     of_log, of_sumo = {"net": str(street), "scenes": "drives"}, {"net": str(street)}
     for history_s in (0.0, 1e-8):  # whole multiples, of no step
         options = RunOptions.parse({**of_log, "sim": {"history_s": history_s}})
@@ -135,7 +135,7 @@ def cut(steps: int = STEPS, turned_rad: float = 0.0, aside_m: float = 0.0) -> On
 
 
 def test_a_log_starts_late_where_it_cannot_start_earlier(street: Path) -> None:
-    """With 6 s of future, starts are due from 2 to 3 s of 9 s: there the ego is askew in its lane."""
+    """With 6 s of future, starts are possible from 2 to 3 s of 9 s; the ego is misaligned with its lane there."""
     log = cut(19)
     first_m = log.tracks.xy_m[0, 0, 0]
     askew = log.tracks.times_s < 4.0
@@ -166,14 +166,14 @@ def test_a_log_starts_late_where_it_cannot_start_earlier(street: Path) -> None:
     ],
 )
 def test_why_a_log_gives_no_scene(street: Path, log: OneDrive, words: str) -> None:
-    """Instants are due from 2 s on to 14 s, every 0.5 s."""
+    """Instants are possible from 2 s on to 14 s, every 0.5 s."""
     logged = LoggedTraffic(RoadMap.read(street), log, SceneOptions(), SimOptions(), SeedTree(0))
     assert list(logged.scenes()) == []
     assert words in logged.why_none()
 
 
 def test_the_most_frequent_reason_comes_first(street: Path) -> None:
-    """Of 12 s the ego is missing at 2 s: of the starts due from 2 to 6 s five have that within the 2 s before."""
+    """Of 12 s the ego is missing at 2 s; five of the possible starts from 2 to 6 s have that in the 2 s before."""
     log = cut(25, turned_rad=0.2)
     log.tracks.valid[0, 4] = False
     logged = LoggedTraffic(RoadMap.read(street), log, SceneOptions(), SimOptions(), SeedTree(0))
@@ -187,7 +187,7 @@ def test_the_most_frequent_reason_comes_first(street: Path) -> None:
 
 
 class WithOneThatParks(OneDrive):
-    """The same with another car, 10 m behind in the next lane, which drives 40 m in 5 s and then stands for good."""
+    """The same with another car, 10 m behind in the next lane, which drives 40 m in 5 s and then parks."""
 
     def __init__(self) -> None:
         super().__init__(SPEED_MPS)
@@ -210,7 +210,7 @@ class WithOneThatParks(OneDrive):
         return LogScene(name, "street", self.tracks, 0, np.zeros(2, dtype=np.bool_), Path("street"))
 
 
-def test_who_stands_from_the_start_on_as_long_as_it_is_logged_stays_put(street: Path) -> None:
+def test_a_vehicle_that_is_parked_from_the_start_on_stays_parked(street: Path) -> None:
     """At 2 s it drives, at 10 s it has parked."""
     options = SceneOptions.parse({"stride_s": 2.0, "min_speed_mps": 0.0})
     logged = LoggedTraffic(RoadMap.read(street), WithOneThatParks(), options, SimOptions(), SeedTree(0))
@@ -226,7 +226,7 @@ def test_who_stands_from_the_start_on_as_long_as_it_is_logged_stays_put(street: 
 def test_a_target_that_sumo_refuses_fails_with_its_seed_scene_for_a_record(
     street: Path, tmp_path: Path, target: str
 ) -> None:
-    """The net has been changed since: all its lanes are for buses, and the ego, a car, finds none."""
+    """The net has changed meanwhile: all its lanes are for buses, so that the ego, a car, has none."""
     scene = next(source(street, SPEED_MPS).scenes())
     edges = re.sub(r'(id="[A-Z]+"[^/]*)/', r'\1 allow="bus"/', nets.STREET[1])
     net = nets.build(tmp_path, nets.STREET[0], edges, name="buses")
@@ -245,7 +245,7 @@ def test_a_target_that_sumo_refuses_fails_with_its_seed_scene_for_a_record(
 def test_a_target_that_waits_in_vain_for_its_lane_fails_as_not_inserted(
     street: Path, tmp_path: Path, target: str
 ) -> None:
-    """The lanes of its direction are for buses: it is put on the other way's lane, where SUMO does not let it in."""
+    """Its direction's lanes are for buses. It is put on a lane of the other direction, where SUMO refuses it."""
     scene = next(source(street, SPEED_MPS).scenes())
     edges = re.sub(r'(id="(?:WM|ME)"[^/]*)/', r'\1 allow="bus"/', nets.STREET[1])
     net = nets.build(tmp_path, nets.STREET[0], edges, name="buses")

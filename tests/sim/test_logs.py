@@ -1,4 +1,4 @@
-"""Seed scenes and episodes out of nuScenes, on a net converted from its own HD map."""
+"""Seed scenes and episodes from nuScenes, on a net converted from its own HD map."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_the_target_starts_on_a_lane_and_its_route_is_connected(
         assert all(b in road.edges[a].successors for a, b in pairwise(route))
 
 
-def test_who_walks_or_is_parked_is_not_for_sumo_to_drive(scenes: list[SeedScene]) -> None:
+def test_sumo_does_not_drive_pedestrians_and_parked_vehicles(scenes: list[SeedScene]) -> None:
     for scene in scenes:
         assert isinstance(scene.start, PlacedTraffic)
         walks = scene.log.classes == AgentClass.PEDESTRIAN

@@ -1,4 +1,4 @@
-"""What moveToXY does that its documentation does not say, and how the package lives with it (docs/sumo.md)."""
+"""Undocumented behaviour of moveToXY, and how the package handles it (docs/sumo.md)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_move_within_the_own_route_leaves_it(street: Path) -> None:
 
 
 def test_a_move_before_departure_pins_the_route_unless_it_is_onto_it(street: Path) -> None:
-    """With keepRoute 0 SUMO gives the first route again in every later step, and says nothing of it."""
+    """With keepRoute 0 SUMO resets the first route in every later step, without a message."""
     for keep_route, kept in ((0, EASTBOUND[:1]), (1, EASTBOUND)):
         with stage(street) as s:
             s.api.route.add("short", EASTBOUND[:1])
@@ -87,7 +87,7 @@ def test_a_move_before_departure_pins_the_route_unless_it_is_onto_it(street: Pat
             assert s.api.vehicle.getRoute("b") == kept
 
 
-def test_who_is_inserted_and_handed_back_drives_its_route(street: Path) -> None:
+def test_a_vehicle_that_is_inserted_and_handed_back_drives_its_route(street: Path) -> None:
     with stage(street) as s:
         s.session.step()
         actuator = actuator_on(s, street)
@@ -104,9 +104,9 @@ def test_who_is_inserted_and_handed_back_drives_its_route(street: Path) -> None:
 
 
 def from_the_south(s: Stage, actuator: Actuator | None, route: tuple[str, ...]) -> tuple[float, bool]:
-    """Move a vehicle at 10 m/s along the priority road of a crossing, to which an IDM car comes from the south.
+    """Move a vehicle at 10 m/s along the priority road of a crossing, which an IDM car approaches from the south.
 
-    Returns the slowest speed of that car before the crossing, and whether ``visible_ids`` named the other.
+    Returns the lowest speed of that car before the crossing, and whether ``visible_ids`` named the moved vehicle.
     """
     s.add("b", ("WC",), at=20)
     s.add("t", ("SC", "CN"), at=105, speed=9)
@@ -300,7 +300,7 @@ def test_sumo_survives_moved_vehicles_that_wander_off_their_lanes(net: str, seed
 
 
 @pytest.mark.parametrize(("x", "y", "yaw"), [(150.0, -40.0, EAST), (150.0, -4.0, 0.7), (-30.0, 5.0, WEST)])
-def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
+def test_the_actuator_inserts_on_a_lane_first_and_removes_vehicles_off_the_lanes(
     street: Path, x: float, y: float, yaw: float
 ) -> None:
     with stage(street) as s:
@@ -324,8 +324,8 @@ def test_the_actuator_inserts_on_a_lane_first_and_takes_out_who_is_on_none(
         assert s.api.vehicle.getIDList() == ()
 
 
-def test_who_is_inserted_has_its_own_size_for_those_behind(street: Path) -> None:
-    """A lorry of 12 m about x = 150 ends at 144, 44 m ahead of a front at 100; its type would end it at 151."""
+def test_followers_see_the_true_size_of_an_inserted_vehicle(street: Path) -> None:
+    """A lorry of 12 m about x = 150 ends at 144, 44 m ahead of a front at 100; by its type it would end at 151."""
     with stage(street) as s:
         s.add("behind", EASTBOUND, at=100)
         s.session.step()
@@ -344,8 +344,8 @@ def test_who_is_inserted_has_its_own_size_for_those_behind(street: Path) -> None
         assert front + gap + s.api.vehicle.getMinGap("behind") == pytest.approx(144.0)
 
 
-def test_who_is_inserted_on_a_junction_is_there_for_those_behind(crossing: Path) -> None:
-    """It stands in the middle of a crossing that somebody comes to from the same side, who stops."""
+def test_followers_see_a_vehicle_inserted_on_a_junction(crossing: Path) -> None:
+    """It stands in the middle of a crossing; a vehicle that approaches from the same side stops."""
     with stage(crossing) as s:
         s.add("behind", ("WC", "CE"), at=60, speed=9)
         s.session.step()
@@ -364,8 +364,8 @@ def test_who_is_inserted_on_a_junction_is_there_for_those_behind(crossing: Path)
         assert -8.0 < front < -0.5 * LENGTH_M
 
 
-def test_who_turns_otherwise_than_sumo_expects_is_taken_out_and_inserted_on_its_way(crossing: Path) -> None:
-    """SUMO has it going straight on from the west, while it turns to the south."""
+def test_a_vehicle_that_turns_unexpectedly_is_inserted_again_on_its_lane(crossing: Path) -> None:
+    """SUMO expects it to go straight on from the west, but it turns to the south."""
     with stage(crossing) as s:
         s.add("b", ("WC", "CE"), at=80)
         s.session.step()
@@ -387,8 +387,8 @@ def _now(actuator: Actuator) -> tuple[np.ndarray, np.ndarray]:
     return actuator.world.xy_m[[0]], actuator.world.yaw_rad[[0]]
 
 
-def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
-    """Removed straight after a move, a vehicle may stay in the lane beside its own as one that reaches into it."""
+def test_sumo_drives_a_vehicle_for_one_step_before_it_is_removed(street: Path) -> None:
+    """Removed directly after a move, a vehicle may remain registered on the lane beside its own."""
     with stage(street) as s:
         actuator = actuator_on(s, street)
         row = actuator.world.add("b", 0, LENGTH_M, WIDTH_M)
@@ -409,7 +409,7 @@ def test_sumo_drives_whom_it_loses_for_one_step(street: Path) -> None:
 
 
 def faults_of_place(actuator: Actuator, s: Stage, row: int, xy: tuple[float, float], yaw: float) -> list[str]:
-    """Return what is wrong: SUMO is to have *row* exactly there, or not at all, while our own state goes on."""
+    """Return what is wrong: SUMO must have *row* exactly there or not at all; the package's own state continues."""
     faults = []
     if row in actuator.moved:
         at, heading = s.pose("b")

@@ -1,4 +1,4 @@
-"""What others see of the speed of a moved vehicle, and what is restored of it (docs/sumo.md)."""
+"""Which speed of a moved vehicle others see, and what is restored at its release (docs/sumo.md)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_actuator_lets_others_see_the_true_speed_and_restores_the_limits(str
 
 
 def test_others_see_the_mean_speed_of_the_last_step(street: Path) -> None:
-    """Braking at 8 m/s² from 12 m/s makes 1.16 m in 0.1 s, at whose end it is 11.2 m/s."""
+    """Braking at 8 m/s² from 12 m/s covers 1.16 m in 0.1 s; the speed is then 11.2 m/s."""
     with stage(street) as s:
         s.add("b", EASTBOUND)
         actuator = actuator_on(s, street)
@@ -66,7 +66,7 @@ def test_others_see_the_mean_speed_of_the_last_step(street: Path) -> None:
 
 
 def test_a_vehicle_with_a_stop_ahead_shows_others_the_speed_of_sumos_own_driver(street: Path) -> None:
-    """It is held where it is; SUMO's driver would have set off."""
+    """It is held in place, while SUMO's driver would have started."""
     with stage(street) as s:
         s.add("b", EASTBOUND)
         s.api.vehicle.setStop("b", "ME", 50.0, duration=20.0)
@@ -110,7 +110,7 @@ def test_the_actuator_sets_stops_aside_and_gives_back_those_that_lie_ahead(
         assert vehicle.getLaneID("b") == "ME_0"
 
 
-def test_who_is_parked_stays_parked(street: Path) -> None:
+def test_a_parked_vehicle_stays_parked(street: Path) -> None:
     with stage(street) as s:
         s.add("b", EASTBOUND, at=60.0)
         s.api.vehicle.setStop("b", "WM", 90.0, duration=99.0, flags=1)

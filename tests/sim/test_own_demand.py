@@ -1,4 +1,4 @@
-"""Demand of a user: when it begins, files that need each other, and which file a message names."""
+"""A user's demand: when it begins, files that need each other, and which file a message names."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cars(begin_s: int = SEVEN_S, count: int = 30, attributes: str = "") -> str:
 
 
 def files(folder: Path, **contents: str) -> Path:
-    """Write NAME.rou.xml, or NAME.add.xml for names that begin with "add", and a configuration; return this."""
+    """Write NAME.rou.xml (NAME.add.xml for names that begin with "add") and a configuration; return the latter."""
     named: dict[str, list[str]] = {"rou": [], "add": []}
     for name, content in contents.items():
         kind = "add" if name.startswith("add") else "rou"

@@ -1,4 +1,4 @@
-"""Plug-ins may write into the scenes that they are given: they are copies, and nobody else's episode changes."""
+"""Plug-ins may modify the scenes that they are given: these are copies, and no other episode changes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.sim.scenes import StraightOn, episode
 
 
 def spoil(scene: Scene) -> None:
-    """Write nonsense into everything of *scene* that can be written into."""
+    """Write nonsense into every writable part of *scene*."""
     history = scene.history
     for array in (history.size_m, history.xy_m, history.yaw_rad, history.speed_mps):
         array[...] = 3.0
@@ -32,7 +32,7 @@ def spoil(scene: Scene) -> None:
 
 
 class Steady:
-    """Keeps its speed, brakes a little for whoever is near, and spoils its scene where it is told to."""
+    """Keeps its speed, brakes a little for nearby vehicles, and spoils its scene on request."""
 
     def __init__(self, spoils: bool) -> None:
         self.spoils = spoils
@@ -42,7 +42,7 @@ class Steady:
         self._leave(scene)
 
     def plan(self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator) -> tuple[Plan, None]:
-        """Return 2 s straight on, braked by how many are there."""
+        """Return 2 s straight on, with a deceleration that depends on the number of road users."""
         history, row = scene.history, scene.target
         speed = history.speed_mps[row, -1] * np.exp(-0.02 * history.agents * np.arange(1, 21))
         yaw = np.full(20, history.yaw_rad[row, -1])
@@ -56,7 +56,7 @@ class Steady:
 
 
 class Spoiling(StraightOn):
-    """The same traffic, which leaves nothing of what it was given as it was."""
+    """The same traffic, which spoils everything that it was given."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:
         """Spoil scene and log."""
@@ -80,7 +80,7 @@ def recorded(scene: SeedScene, road: RoadMap, target: Any, policy: TrafficPolicy
 
 
 def prints(record: EpisodeRecord) -> Iterator[bytes]:
-    """Yield all that was recorded."""
+    """Yield everything that was recorded."""
     tracks = record.tracks
     for array in (tracks.xy_m, tracks.yaw_rad, tracks.speed_mps, tracks.size_m, tracks.classes, tracks.valid):
         yield array.tobytes()

@@ -1,4 +1,4 @@
-"""People on foot in SUMO's traffic: their trips, what is read of them, and who sees them."""
+"""Pedestrians in SUMO's traffic: their trips, their states in the world, and who sees them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PER_KM = 60.0
 
 @pytest.fixture(scope="module")
 def net(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The crossing of a fast street and a slower one, with a crossing over each arm of the slower."""
+    """A fast street crosses a slower one; each arm of the slower one has a crossing."""
     path = tmp_path_factory.mktemp("people") / "crossing.net.xml"
     shutil.copy(crossing, path)
     assert add_foot_paths(path, [], guess=True).kept == 2
@@ -65,8 +65,8 @@ def test_sidewalks_hang_together_over_crossings(net: Path) -> None:
     np.testing.assert_allclose(ways.length_m, lengths, atol=0.01)
 
 
-def test_so_many_people_set_out_at_once_and_later(road: RoadMap, net: Path, tmp_path: Path) -> None:
-    """60 on each km at the beginning, and as many anew each 200 s."""
+def test_the_density_of_people_is_kept(road: RoadMap, net: Path, tmp_path: Path) -> None:
+    """60 per km at the beginning, and as many again every 200 s."""
     path = write_demand(road, options(), 100.0, SeedTree(1), tmp_path / "d.rou.xml")
     people = list(parse(path).getroot().iter("person"))
     present = round(PER_KM * read_footways(net).length_m.sum() / 1000.0)
@@ -77,7 +77,7 @@ def test_so_many_people_set_out_at_once_and_later(road: RoadMap, net: Path, tmp_
 
 
 def test_without_the_option_demand_is_as_it_was(road: RoadMap, crossing: Path, tmp_path: Path) -> None:
-    """The vehicles of a net are the same with people, without, and without sidewalks."""
+    """The vehicles of a net are the same with pedestrians, without them, and without sidewalks."""
     texts = []
     for number, (place, per_km) in enumerate(((road, PER_KM), (road, 0.0), (RoadMap.read(crossing), 0.0))):
         path = tmp_path / f"{number}.rou.xml"
@@ -95,7 +95,7 @@ def test_people_on_a_net_without_sidewalks_are_one_sentence(crossing: Path, tmp_
 
 
 def test_the_world_holds_people_while_they_walk(net: Path) -> None:
-    """A person may be called as a vehicle is; SUMO's place is the front of the body, ours its centre."""
+    """A person and a vehicle may have the same name. SUMO's position is the front of the body, ours its centre."""
     ways = read_footways(net).edges
     world = World()
     libsumo.start(["sumo", "-n", str(net), "--no-step-log", "--step-length", "0.1"])
@@ -133,7 +133,7 @@ def scene(road: RoadMap) -> SeedScene:
 
 
 class Grasping:
-    """A policy that wants to move everybody there is."""
+    """A policy that tries to move all road users."""
 
     everywhere = True
 
@@ -190,7 +190,7 @@ def test_the_learned_models_see_people(scene: SeedScene, road: RoadMap) -> None:
     assert not view.moved[walks].any()
 
 
-def test_a_driver_of_sumo_sees_who_is_on_the_crossing_ahead(net: Path) -> None:
+def test_a_driver_of_sumo_sees_people_on_the_crossing_ahead(net: Path) -> None:
     root = parse(net).getroot()
     row = next(e for e in root.iter("edge") if e.get("function") == "crossing")
     name = row.get("id", "")
@@ -230,7 +230,7 @@ def test_a_driver_of_sumo_sees_who_is_on_the_crossing_ahead(net: Path) -> None:
 
 
 def two(classes: tuple[AgentClass, AgentClass], who: Controller) -> EpisodeRecord:
-    """Return a record of two bodies of half a metre that walk through each other, moved by *who*."""
+    """Return a record of two pedestrians half a metre long that walk through each other, moved by *who*."""
     t = np.arange(12) * 0.1
     x = np.stack((t, 1.0 - t))
     tracks = Tracks(
@@ -264,7 +264,7 @@ def test_people_of_sumo_pass_through_each_other_and_are_hit_by_cars(
 
 
 def behind_front_m(vehicle: str, person: str) -> float:
-    """Return how far behind the vehicle's front bumper the person is, along the vehicle."""
+    """Return how far the person is behind the vehicle's front bumper, along the vehicle."""
     yaw = np.deg2rad(90.0 - libsumo.vehicle.getAngle(vehicle))
     gap = np.subtract(libsumo.vehicle.getPosition(vehicle), libsumo.person.getPosition(person))
     return float(gap @ (np.cos(yaw), np.sin(yaw)))
@@ -276,9 +276,9 @@ def behind_front_m(vehicle: str, person: str) -> float:
     "name", ["singapore-onenorth", pytest.param("singapore-queenstown", marks=pytest.mark.nightly)]
 )
 def test_ten_minutes_of_people_and_cars_on_a_converted_map(name: str, adv_data: Path, tmp_path: Path) -> None:
-    """No vehicle runs into anybody, none is teleported, and no trip leads where the net does not.
+    """No vehicle runs into a pedestrian, none is teleported, and no trip leaves the net.
 
-    Whoever walks may touch the flank of a vehicle that is turning over the crossing already.
+    A pedestrian may touch the flank of a vehicle that is already turning over the crossing.
     """
     source = read_map(adv_data / "nuscenes-mini" / "maps" / "expansion" / f"{name}.json")
     net = convert_source(source, tmp_path / f"{name}.net.xml", crossings="guess").net

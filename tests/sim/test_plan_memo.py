@@ -1,4 +1,4 @@
-"""Plans that a process has made before: the same episodes, without making a plan twice."""
+"""Reused plans of this process: the same episodes, without making a plan twice."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ SEARCHES = {"rounds": 2}
 
 
 def memo_of() -> PlanMemo:
-    """Return a memo of its own."""
+    """Return a new memo."""
     return PlanMemo(("net", "policy", "options"), KeptPlans())
 
 
 class Counted:
-    """A policy that counts how often it is asked."""
+    """A policy that counts its plans."""
 
     def __init__(self, policy: TrafficPolicy) -> None:
         self.policy, self.plans = policy, 0
@@ -48,7 +48,7 @@ class Counted:
 def driven(
     scene: SeedScene, road: RoadMap, policy: TrafficPolicy, options: dict[str, Any], memo: PlanMemo | None
 ) -> EpisodeRecord:
-    """Return what happens with the rule-based planner of *options*."""
+    """Return an episode with the rule-based planner of *options*."""
     target = make_target("lane_graph", options)
     record, timing = replace(episode(scene, road, target, policy, 4.0), memo=memo).run()
     assert len(timing.background_plans_s) == 8
@@ -58,7 +58,7 @@ def driven(
 
 
 def same(first: EpisodeRecord, second: EpisodeRecord) -> bool:
-    """Return whether two episodes went alike to the bit."""
+    """Return whether two episodes are identical to the bit."""
     names = ("xy_m", "yaw_rad", "speed_mps", "valid")
     pairs = ((getattr(first.tracks, name), getattr(second.tracks, name)) for name in names)
     return (
@@ -126,7 +126,7 @@ def test_a_full_memo_forgets_what_was_used_longest_ago() -> None:
 
 def test_random_numbers_go_on_where_the_plan_left_them(scene: SeedScene, road: RoadMap) -> None:
     class Drawing:
-        """Plans for nobody, and draws."""
+        """A policy that moves no vehicle, but draws random numbers."""
 
         def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> int:
             return int(rng.integers(100))

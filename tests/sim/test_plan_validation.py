@@ -1,4 +1,4 @@
-"""Plans that no vehicle could drive are refused, with the name and the place."""
+"""Plans that no vehicle could drive are refused; the message names the planner and the fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of the plans is kept: the target's and those of the vehicles nearest to it, at the model step."""
+"""Which plans are recorded: those of the target and of the vehicles nearest to it, at the model step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.sim.sim_options import SimOptions
 
 
 def tracks(x0_m: list[float], speed_mps: list[float], steps: int, t0_s: float, dt_s: float) -> Tracks:
-    """Agents "a", "b", … that go east, one above the other."""
+    """Agents "a", "b", … that drive east, each further north than the one before."""
     agents = len(x0_m)
     along = np.array(speed_mps)[:, None] * dt_s * np.arange(steps)
     x = np.array(x0_m)[:, None] + along
@@ -75,7 +75,7 @@ def test_of_the_background_the_nearest_are_kept(scene: Scene) -> None:
     assert np.isfinite(made.xy_m).all()
 
 
-def test_who_comes_later_is_last_and_starts_later(scene: Scene) -> None:
+def test_a_vehicle_that_appears_later_is_last_and_starts_later(scene: Scene) -> None:
     joint = JointPlan(tracks([0.0, 155.0, 115.0, 135.0, 140.0], [10.0] * 5, 12, 3.5, 0.5).rows([4, 1]))
     there = joint.tracks.valid.copy()
     there[0, :3] = False

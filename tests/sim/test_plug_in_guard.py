@@ -1,4 +1,4 @@
-"""Whatever a planner or policy does ends in a typed failure that names file and line of its own code."""
+"""Any error of a planner or policy becomes a typed failure that names file and line of its code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 
 
 class OwnError(Exception):
-    """Cannot even say what is wrong."""
+    """An error whose message cannot be made."""
 
     def __str__(self) -> str:
         raise RuntimeError("no words")
@@ -80,7 +80,7 @@ def test_memory_that_is_not_there() -> None:
 
 
 def test_memory_that_pytorch_does_not_get() -> None:
-    """On the CPU it says so in a RuntimeError; four petabytes are more than any process can address."""
+    """On the CPU it raises a RuntimeError; four petabytes are more than any process can address."""
     with pytest.raises(
         OutOfMemoryFailure, match=r"ran out of memory \(test_plug_in_guard.py, line \d+, .*allocate"
     ):
@@ -139,7 +139,7 @@ def test_the_heartbeat_can_be_read_from_outside(tmp_path: Path) -> None:
 
 
 def test_a_note_that_is_half_written_is_not_read(tmp_path: Path) -> None:
-    """Whoever reads between two bytes of a note sees the start of it, then zeros or what was there before."""
+    """A reader between two bytes of a note sees its beginning, then zeros or the note before."""
     path = tmp_path / "beat"
     heartbeat = Heartbeat(path)
     before = path.read_bytes()

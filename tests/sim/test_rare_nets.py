@@ -1,4 +1,4 @@
-"""Valid nets and demand of which there are few: links that a light leaves alone, "<" in ids, gzip, lanes for buses."""
+"""Rare but valid nets and demand: links without a signal at a traffic light, "<" in ids, gzip, lanes for buses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCENE = {
 
 
 def rewritten(net: Path, old: str, new: str) -> Path:
-    """Write *net* beside itself with every *old* (a pattern) replaced."""
+    """Write *net* beside itself with every match of a pattern *old* replaced."""
     text, changes = re.subn(old, new, net.read_text())
     assert changes
     out = net.with_name(f"rewritten-{net.name}")
@@ -50,7 +50,7 @@ def natural_scene(road: RoadMap, demand: DemandFiles | None = None) -> SeedScene
 
 
 def test_a_link_that_its_light_leaves_alone_has_no_signal(tmp_path: Path) -> None:
-    """A linkIndex of −1 would be the last letter of the state string, another link's."""
+    """Its linkIndex is −1, which would read the last letter of the state string, that of another link."""
     net = rewritten(
         nets.crossing(tmp_path, "traffic_light"), r'linkIndex="\d+"(?= dir="s")', 'linkIndex="-1"'
     )
@@ -128,8 +128,8 @@ def test_a_vehicle_is_inserted_on_a_lane_that_is_open_to_it(
         assert s.api.vehicle.getRoadID("b") in edges
 
 
-def test_whom_sumo_refuses_stays_outside_and_is_counted(tmp_path: Path) -> None:
-    """A car where SUMO has buses only: the type says what SUMO lets in, whatever class we take it for."""
+def test_a_vehicle_that_sumo_refuses_stays_outside_and_is_counted(tmp_path: Path) -> None:
+    """A car on lanes for buses only: the vType decides whether SUMO accepts it, whatever its class is here."""
     net = buses_westbound(tmp_path)
     with stage(net) as s:
         actuator, row = placed(s.api, net, AgentClass.BUS)

@@ -1,4 +1,4 @@
-"""What of SUMO's own words a record keeps."""
+"""Which of SUMO's own reports a record contains."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.sim.test_log_starts import STEP_S, STEPS, OneDrive
 
 
 class TwoThatOverlap(OneDrive):
-    """The ego comes to the street's end; two in its lane, far behind it, creep along 3 m apart, 4.5 m long."""
+    """The ego reaches the street's end; far behind it, two vehicles 4.5 m long creep along its lane 3 m apart."""
 
     def __init__(self) -> None:
         super().__init__(0.0)
@@ -42,7 +42,7 @@ class TwoThatOverlap(OneDrive):
 
 
 def test_the_step_in_which_the_target_leaves_the_net_adds_no_collision(street: Path, tmp_path: Path) -> None:
-    """There is no state of that step, so no box could confirm it."""
+    """That step has no states, so that no boxes could confirm a collision."""
     road = RoadMap.read(street)
     logged = LoggedTraffic(road, TwoThatOverlap(), SceneOptions(), SimOptions(), SeedTree(0))
     with running(episode(next(iter(logged.scenes())), road, background="replay"), tmp_path) as loop:

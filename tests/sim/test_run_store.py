@@ -1,4 +1,4 @@
-"""What one episode adds to the tables, by hand."""
+"""The rows that one episode adds to the tables, worked by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIMING = Timing(wall_s=0.1, target_plans_s=(0.01, 0.03))
 
 
 def record(number: int) -> EpisodeRecord:
-    """The target is there for three instants, a bus for the last two."""
+    """The target is present for three instants, a bus for the last two."""
     valid = np.array([[True, True, True], [False, True, True]])
     x = np.array([[0.0, 1.0, 2.0], [np.nan, 8.0, 8.0]])
     tracks = Tracks(

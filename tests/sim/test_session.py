@@ -20,7 +20,7 @@ EASTBOUND = ("WM", "ME")
 
 
 def flock(s: Stage, steps: int) -> np.ndarray:
-    """Return positions and speeds (steps, vehicles, 3) of what drives in *s* already."""
+    """Return positions and speeds (steps, vehicles, 3) of the vehicles that drive in *s* already."""
     names = sorted(s.api.vehicle.getIDList())
     out = []
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""Seed scenes of a situation: what is asked for is there, and what never happens is said."""
+"""Seed scenes of a situation: they contain it, and a message says if it never occurs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def episode_of(scene: SeedScene, road: RoadMap) -> Any:
     return Episode(0, scene, road, target, policy, ("careful", "sumo"), SimOptions(), 0.5, SeedTree(1)).run()
 
 
-def test_a_follower_has_somebody_ahead_in_its_lane(networks: Path) -> None:
+def test_a_follower_has_a_leader_in_its_lane(networks: Path) -> None:
     road, found = scenes(networks, "following")
     for scene in found:
         now = scene.history
@@ -47,7 +47,7 @@ def test_a_follower_has_somebody_ahead_in_its_lane(networks: Path) -> None:
         assert (ahead & (along < pose.s_m + max(3.5 * now.speed_mps[row, -1], 10.0))).any()
 
 
-def test_who_turns_has_a_turn_ahead(networks: Path) -> None:
+def test_a_turning_target_has_a_turn_ahead(networks: Path) -> None:
     road, found = scenes(networks, "turning")
     for scene in found:
         route = scene.routes[scene.target]
@@ -60,8 +60,8 @@ def test_who_turns_has_a_turn_ahead(networks: Path) -> None:
         assert {link.direction.lower() for link in links} <= {"l", "r"}
 
 
-def test_who_comes_to_a_red_light_is_the_next_one_there(networks: Path) -> None:
-    """One of the links that its route takes at the end of its edge is red in the first step of the episode."""
+def test_a_target_before_a_red_light_is_the_first_one_there(networks: Path) -> None:
+    """One of the links of its route at the end of its edge is red in the first step of the episode."""
     road, found = scenes(networks, "red-light")
     for scene in found:
         here, beyond = scene.routes[scene.target][:2]

@@ -1,4 +1,4 @@
-"""Records of ScenarioNet lie where their data set's map lies, their own map too."""
+"""Records of ScenarioNet and their own maps are placed where the map of their data set is."""
 
 from __future__ import annotations
 

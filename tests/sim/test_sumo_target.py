@@ -1,4 +1,4 @@
-"""What an episode makes of a SUMO-driven target: offsets by the net's side of the road, drawn desired speeds."""
+"""A SUMO-driven target in an episode: offsets by the net's side of the road, drawn desired speeds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.sim.scenes import episode
 
 
 def scene_on(road: RoadMap) -> SeedScene:
-    """Return a scene in which the target leaves its lane on neither net."""
+    """Return a scene in which the target stays in its lane on both nets."""
     options = SceneOptions.parse({"warmup_s": 15.0, "scenes_per_warmup": 1})
     return NaturalTraffic(road, None, options, SimOptions.parse({}), 8.0, SeedTree(5)).batch(0)[0]
 
@@ -35,7 +35,7 @@ def params_in_episode(options: dict[str, Any], seed: int = 0, lefthand: bool = F
 
 
 def left_of_middle_m(scene: SeedScene, road: RoadMap, **options: Any) -> float:
-    """Return the median place of the target to the left of its lane's middle, on straight lanes, from 3 s on."""
+    """Return the median offset of the target to the left of its lane's middle, on straight lanes, from 3 s on."""
     record, _ = episode(scene, road, make_target("IDM", options), horizon_s=8.0).run()
     assert record.end is not EndReason.FAILED
     tracks, row = record.tracks, record.target
@@ -47,7 +47,7 @@ def left_of_middle_m(scene: SeedScene, road: RoadMap, **options: Any) -> float:
 
 
 @pytest.mark.parametrize("net", ["downtown", "downtown-left"])
-def test_who_believes_to_be_left_of_its_place_drives_right_of_it(networks: Path, net: str) -> None:
+def test_a_target_that_believes_to_be_too_far_left_drives_too_far_right(networks: Path, net: str) -> None:
     road = RoadMap.read(networks / f"{net}.net.xml")
     scene = scene_on(road)
     sound = left_of_middle_m(scene, road)

@@ -1,4 +1,4 @@
-"""What SUMO's drivers are told of a target that leaves its route at a junction, with the real SUMO."""
+"""What SUMO's drivers know of a target that leaves its route at a junction, with the real SUMO."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.sim.scenes import episode, running
 
 
 class Onward:
-    """Plans *seconds* straight on at constant speed, whatever its route is."""
+    """Plans *seconds* straight on at constant speed, regardless of its route."""
 
     def __init__(self, seconds: float) -> None:
         self.steps = round(seconds / 0.1)
@@ -55,7 +55,7 @@ class OneScene:
 @pytest.mark.parametrize(
     ("route", "seconds", "ahead"), [("CS", 6.0, "CE"), ("CS", 1.0, "CS"), ("CE", 6.0, "CE")]
 )
-def test_drivers_are_told_where_a_plan_leads(tmp_path: Path, route: str, seconds: float, ahead: str) -> None:
+def test_drivers_know_where_a_plan_leads(tmp_path: Path, route: str, seconds: float, ahead: str) -> None:
     """It comes from the west at 8 m/s, 30 m before the crossing, where "CS" turns right and "CE" goes straight on."""
     net = nets.crossing(tmp_path)
     tracks = tracks_of(("ego", AgentClass.CAR, (4.5, 1.8), straight(-46.0, -1.6, 0.0, 8.0, steps=101)))

@@ -1,4 +1,4 @@
-"""Which revision a run says that it was made with."""
+"""Which revision a run records for itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from advdiff_sumo.sim.run_episodes import git_revision
 def test_the_revision_is_that_of_the_packages_own_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Installed into an environment within somebody's project it is nobody's; it was that project's."""
+    """An environment inside another project once gave that project's revision; an installed package has none."""
     git = ("git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org")
     for words in (("init", "--quiet"), ("commit", "--quiet", "--allow-empty", "--message", "theirs")):
         subprocess.run([*git, *words], check=True, capture_output=True)

@@ -1,4 +1,4 @@
-"""What a SUMO-driven target can see of a vehicle that moveToXY holds, and what ``visible_ids`` says."""
+"""What a SUMO-driven target sees of a vehicle that moveToXY holds, and what ``visible_ids`` returns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REACTION_MPS = 1.0  # below its cruise of 13 to 14 m/s
 
 @dataclass(frozen=True)
 class Seen:
-    """What one target did and saw while it drove towards the background vehicle."""
+    """What one target did and saw while it approached the background vehicle."""
 
     hit_mps: float | None
     slowest_mps: float
@@ -34,7 +34,7 @@ class Seen:
 
 
 def drive(s: Stage, x: float, y: float, yaw: float, speed_mps: float = 0.0) -> Seen:
-    """Let a target at 13 m/s in the right lane meet a background vehicle; it may not change lane."""
+    """Let a target at 13 m/s in the right lane, which may not change lane, meet a background vehicle."""
     s.add("b", EASTBOUND, lane=1, at=100)
     s.hold("b", x, y, yaw)
     s.step()

@@ -1,4 +1,4 @@
-"""Seed scenes out of natural traffic."""
+"""Seed scenes from natural traffic."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_first_scenes_alone_are_those_of_the_whole_batch(scenes: list[SeedSc
 
 
 def _undated(scene: SeedScene) -> SeedScene:
-    """Return *scene* without SUMO's comment on when its state was saved, and from which files it had begun."""
+    """Return *scene* without SUMO's comment on when its state was saved, and from which files SUMO had begun."""
     assert isinstance(scene.start, SavedTraffic)
     state_xml = re.sub(rb"<!--.*?-->", b"", scene.start.state_xml, count=1, flags=re.DOTALL)
     return replace(scene, start=replace(scene.start, state_xml=state_xml))

@@ -1,4 +1,4 @@
-"""Traffic that a model drives up to some instant and SUMO's drivers from there on."""
+"""Traffic that a model drives for a while, and then SUMO's drivers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BRAKES_MPS2 = 3.0
 
 
 class StopsForGood:
-    """Lets everybody brake to a stand, and stand: what a model does that clots."""
+    """Brakes all vehicles to a standstill and keeps them there, as a bad model does."""
 
     def start(self, *_: Any) -> None:
         """Remember nothing."""
@@ -47,7 +47,7 @@ class StopsForGood:
 
 @pytest.fixture(scope="module")
 def recording(road: RoadMap, scene: SeedScene) -> Recording:
-    """One turn of 8 s and one of the drivers that follow."""
+    """One turn of the policy of 8 s, and one of SUMO's drivers."""
     return drive_in_turn(road, scene, SeedTree(5), StopsForGood(), 1.0, (8.0, 8.0))
 
 
@@ -65,7 +65,7 @@ def test_windows_begin_where_sumo_takes_over_and_shortly_later(
     assert not recording.focal[:, handback - 1].any()
 
 
-def test_who_a_model_has_stopped_is_shown_to_start_again(recording: Recording) -> None:
+def test_windows_show_vehicles_that_a_model_has_stopped_start_again(recording: Recording) -> None:
     handback = recording.instants[0]
     stood = recording.focal[:, handback] & (recording.tracks.speed_mps[:, handback] < 0.2)
     led = stood & recording.expert[:, handback + 1 : handback + 1 + FUTURE].all(axis=1)

@@ -1,4 +1,4 @@
-"""Windows out of driving logs."""
+"""Windows from driving logs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.sim.records_made import record, write
 
 
 def drive(dt_s: float = 0.5) -> LogScene:
-    """Return 10 s on the street of the tests: the ego at 10 m/s, a car ahead of it, one parked, one on foot."""
+    """Return 10 s on the street of the tests: the ego at 10 m/s, a car ahead of it, a parked one, a pedestrian."""
     steps = round(10.0 / dt_s) + 1
     t = dt_s * np.arange(steps)
     xy = np.zeros((4, steps, 2))
@@ -123,7 +123,7 @@ def test_logs_that_cannot_be_used_say_why(road: RoadMap, tmp_path: Path) -> None
 
 
 def test_records_whose_names_begin_alike_are_on_nets_of_their_own(tmp_path: Path) -> None:
-    """The names of real ones differ behind the first dot: sd_nuscenes_v1.0-mini_…, sd_training.tfrecord-…."""
+    """The names of real records differ after the first dot: sd_nuscenes_v1.0-mini_…, sd_training.tfrecord-…."""
     logs = tmp_path / "logs"
     for number, heading in enumerate((0.0, 1.0)):
         write(logs / f"sd_made_v1.0_{number}.pkl", record((100.0 * number, 0.0), heading))

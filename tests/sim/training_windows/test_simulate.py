@@ -1,4 +1,4 @@
-"""Simulated windows: made-up nets, mixed traffic, and what is left out."""
+"""Simulated windows: random nets, mixed traffic, and which windows are left out."""
 
 from __future__ import annotations
 

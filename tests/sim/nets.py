@@ -19,7 +19,7 @@ from advdiff_sumo.sim.session import Session, SessionOptions
 LANE_M = 3.2
 LENGTH_M, WIDTH_M = 5.0, 1.8
 EAST, NORTH, WEST = 0.0, 0.5 * np.pi, np.pi
-EXACTLY = 2  # moveToXY's keepRoute: there, on the net or not
+EXACTLY = 2  # moveToXY's keepRoute: the exact position, also off the net
 
 STREET = (
     """<nodes><node id="W" x="0" y="0"/><node id="M" x="200" y="0"/><node id="E" x="400" y="0"/></nodes>""",

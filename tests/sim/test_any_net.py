@@ -33,7 +33,7 @@ SCENE = {
     "min_speed_mps": 0.0,
     "density_per_km": 25.0,
 }
-#: What netconvert must have written where the feature is asked for.
+#: What netconvert must have written if the feature is requested.
 MARKS = {
     "uncontrolled link": 'uncontrolled="1"',
     "blinking light": 'state="o',
@@ -97,7 +97,7 @@ def test_every_feature_has_its_mark() -> None:
 def test_a_feature_is_in_the_net_that_is_read(tmp_path: Path, name: str) -> None:
     (tmp_path / "plain").mkdir()
     assert MARKS[name] in build(tmp_path, [name]).read_text(encoding="utf-8")
-    if name != "internal lanes of no length":  # some joins have such lanes anyway
+    if name != "internal lanes of no length":  # some joined junctions have such lanes without it
         assert MARKS[name] not in build(tmp_path / "plain", []).read_text(encoding="utf-8")
     assert RoadMap.read(tmp_path / "rare.net.xml").edge_graph().strongly_connected()
 

@@ -34,7 +34,7 @@ class Row:
     a: Pose
     b: Pose
     overlaps: bool
-    said: tuple[str, str, str, str]  # in the order of SETTINGS; "" where SUMO says nothing
+    said: tuple[str, str, str, str]  # in the order of SETTINGS; "" if SUMO reports nothing
     ways: tuple[tuple[str, ...], tuple[str, ...]] = (EASTBOUND, EASTBOUND)
     lanes: tuple[int, int] = (0, 0)
     kind: str = "car"
@@ -105,7 +105,7 @@ def test_what_sumo_says(name: str, setting: str, request: pytest.FixtureRequest)
     expected = row.said[list(SETTINGS).index(setting)]
     with stage(request.getfixturevalue(row.net), sublane_m=sublane_m, otherwise=otherwise) as s:
         put_in_place(s, row)
-        s.step()  # a junction is checked only from the step after the placing on
+        s.step()  # SUMO checks a junction only from the step after the placement on
         said = []
         for _ in range(5):
             s.step()
@@ -121,7 +121,7 @@ def test_our_boxes_tell_the_truth(name: str, request: pytest.FixtureRequest) -> 
         for _ in range(2):
             s.step()
         now = states(s, world)
-    for k, pose in enumerate((row.a, row.b)):  # SUMO has them where we put them, on the road and off it
+    for k, pose in enumerate((row.a, row.b)):  # SUMO has them at their poses, on the road and off it
         np.testing.assert_allclose(now.xy_m[k], pose[:2], atol=1e-6)
         np.testing.assert_allclose(now.yaw_rad[k], pose[2], atol=1e-6)
     boxes = corners(now.xy_m, now.yaw_rad, world.size_m[:2])

@@ -24,7 +24,7 @@ SCENARIO = b"<commonRoad>" + b"<!-- some words to pack -->" * 400 + b"</commonRo
 
 def routes(count: int = 900) -> bytes:
     """Return more routes than a check of demand reads."""
-    names = np.random.default_rng(1).integers(10**9, size=count)  # which do not pack well
+    names = np.random.default_rng(1).integers(10**9, size=count)  # which compress badly
     rows = (
         f'<vehicle id="{names[k]}-{k}" depart="{k}"><route edges="WM ME"/></vehicle>' for k in range(count)
     )

@@ -124,7 +124,7 @@ def test_every_seed_gives_connected_routes(
         assert all(after in successors[before] for before, after in pairwise(route_of(vehicle)))
 
 
-# --- demand that a user brings ---------------------------------------------------------------------------
+# --- demand of a user ------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ ROAD = (
     '<nodes><node id="W" x="0" y="0"/><node id="M" x="300" y="0"/><node id="E" x="600" y="0"/></nodes>',
     '<edges><edge id="WM" from="W" to="M" numLanes="2" speed="10"/><edge id="ME" from="M" to="E" speed="10"/></edges>',
 )
-THROUGH = (  # two roads that cross without a junction: nobody yields
+THROUGH = (  # two roads that cross without a junction: no vehicle yields
     """<nodes><node id="W" x="-300" y="0"/><node id="E" x="300" y="0"/>
 <node id="S" x="0" y="-300"/><node id="N" x="0" y="300"/></nodes>""",
     '<edges><edge id="WE" from="W" to="E" speed="10"/><edge id="SN" from="S" to="N" speed="10"/></edges>',
@@ -69,7 +69,7 @@ def test_the_same_seed_gives_the_same_figures(tmp_path: Path) -> None:
 def test_a_crossing_without_a_junction_shows_in_our_list_only(tmp_path: Path) -> None:
     found = driving_test(build(tmp_path, *THROUGH), vehicles=12, at_once=True, duration_s=600.0)
     assert found["collisions_boxes"] > 0
-    assert found["collisions_sumo"] == 0  # SUMO looks at lanes and junctions
+    assert found["collisions_sumo"] == 0  # SUMO checks lanes and junctions only
     assert found["places_of_contacts"].keys() <= {"WE_0", "SN_0"}
     assert sum(found["places_of_contacts"].values()) == found["collisions_boxes"]
     assert found["collisions_boxes_changing_lane"] == 0

@@ -75,8 +75,8 @@ def test_presence_by_the_step() -> None:
         (10.1, 0.0, 0.0, True),
         (79.9, 0.0, 20.0, False),  # 10 m, a second and 20² / (2 · 4) m
         (80.1, 0.0, 20.0, True),
-        (-12.0, 0.0, 20.0, True),  # it is past
-        (12.0, np.pi, 20.0, True),  # and this one goes the other way
+        (-12.0, 0.0, 20.0, True),  # it has passed
+        (12.0, np.pi, 20.0, True),  # it drives in the opposite direction
         (np.nan, np.nan, np.nan, True),
     ],
 )

@@ -268,7 +268,9 @@ def test_any_offset_on_a_straight(
     turn=st.floats(-0.4, 0.4),
     speed=st.floats(1.0, 12.0),
 )
-@example(s_m=60.0, d_m=-1.0, turn=-0.375, speed=1.0)  # a corner is off the road, and no less speed would help
+@example(
+    s_m=60.0, d_m=-1.0, turn=-0.375, speed=1.0
+)  # a corner is off the road, and a lower speed would not help
 def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, speed: float) -> None:
     with stage(bend) as s:
         got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)

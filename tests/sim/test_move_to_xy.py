@@ -186,7 +186,7 @@ def test_a_vehicle_without_a_route_ahead_arrives_and_the_actuator_keeps_it(cross
     assert gone_at <= 0.0
 
 
-# --- numbers that are none, places that are no road ------------------------------------------------------------
+# --- NaN, positions off the road -------------------------------------------------------------------------------
 
 
 def test_sumo_accepts_a_place_that_is_no_number_but_our_guard_does_not(street: Path) -> None:

@@ -76,7 +76,7 @@ def test_memory_that_is_not_there() -> None:
     with pytest.raises(
         OutOfMemoryFailure, match=r"ran out of memory \(test_plug_in_guard.py, line \d+, plan\)$"
     ):
-        guard().call(lambda: PlugIn().plan(MemoryError()))  # as Python itself says it
+        guard().call(lambda: PlugIn().plan(MemoryError()))  # as Python itself raises it
 
 
 def test_memory_that_pytorch_does_not_get() -> None:
@@ -106,7 +106,9 @@ def test_our_own_errors_pass() -> None:
 
 
 def test_ctrl_c_is_the_users_where_it_can_be_heard_and_else_the_planners() -> None:
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell handed down
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # the shell may have set another handler
     try:
         with pytest.raises(KeyboardInterrupt):
             guard().call(lambda: PlugIn().plan(KeyboardInterrupt()))

@@ -78,7 +78,7 @@ def test_straddling_from_the_next_lane_it_drives_through(street: Path, sublane_m
     assert seen.hit_mps > 13.0
     assert not seen.reacted
     assert not seen.leader
-    assert seen.visible  # as a neighbour, whom its models take into account when they change lane
+    assert seen.visible  # as a neighbour, which its models consider when they change lane
 
 
 @pytest.mark.parametrize("sublane_m", SUBLANES.values(), ids=SUBLANES)

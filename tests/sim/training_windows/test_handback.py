@@ -61,7 +61,7 @@ def test_windows_begin_where_sumo_takes_over_and_shortly_later(
         focal = recording.focal[:, now]
         assert focal.any()
         assert recording.tracks.valid[focal, now].all()
-        assert not recording.expert[focal, handback].any()  # the policy has led them here
+        assert not recording.expert[focal, handback].any()  # their present states result from the policy
     assert not recording.focal[:, handback - 1].any()
 
 
@@ -80,8 +80,8 @@ def test_futures_end_where_nobody_but_sumo_drives(recording: Recording, road: Ro
     assert windows
     known = np.concatenate([window.future_valid for window in windows])
     assert known.any(axis=1).mean() > 0.5
-    assert not known.all()  # what the model did is no future
-    assert (known[:, :-1] >= known[:, 1:]).all()  # nothing is known beyond a gap
+    assert not known.all()  # states that result from the model are no future to learn
+    assert (known[:, :-1] >= known[:, 1:]).all()  # nothing is valid after a gap
     assert all(window.past_valid[0, -PAST:].all() for window in windows)
     assert all((window.future[~window.future_valid] == 0.0).all() for window in windows)
 

@@ -152,7 +152,7 @@ def test_boxes_that_share_area_are_found() -> None:
     rows = np.arange(2)
     assert not _has_overlaps(cars(), rows, 4)
     xy = cars().xy_m.copy()
-    xy[1, 12, 1] = 1.55  # the boxes are let in by 10 cm a side
+    xy[1, 12, 1] = 1.55  # the boxes are shrunk by 10 cm on each side
     assert _has_overlaps(cars(xy_m=xy), rows, 4)
     xy[1, 12, 1] = 1.65
     assert not _has_overlaps(cars(xy_m=xy), rows, 4)

@@ -1,4 +1,4 @@
-"""Where two ways over a junction meet."""
+"""Find the conflict area of two links over a junction."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 
-_NEAR_M = 2.6
-_BEYOND_M = 6.0
+_CONFLICT_DISTANCE_M = 2.6  # between the centre lines
+_BEYOND_M = 6.0  # of the lane beyond the junction is searched, too
 _STEP_M = 0.5
 
 
 def conflict_zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
-    """Return where vehicles on *own* and *other* would collide, or None when their ways stay apart."""
+    """Return the conflict area of links *own* and *other*; None if they keep apart."""
     key = (own.from_lane, own.to_lane, other.from_lane, other.to_lane)
     if key not in geometry.conflicts:
         geometry.conflicts[key] = _zone(geometry, own, other)
@@ -23,11 +23,12 @@ def conflict_zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
 
 
 def _zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
-    a, b = _way(geometry, own), _way(geometry, other)
-    near = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1)) < _NEAR_M
-    if not near.any():
+    """Return the conflict area, computed from the centre lines."""
+    own_xy, other_xy = _centre_line(geometry, own), _centre_line(geometry, other)
+    in_conflict = np.hypot(*(own_xy[:, None] - other_xy[None]).transpose(2, 0, 1)) < _CONFLICT_DISTANCE_M
+    if not in_conflict.any():
         return None
-    rows, columns = np.flatnonzero(near.any(1)), np.flatnonzero(near.any(0))
+    rows, columns = np.flatnonzero(in_conflict.any(1)), np.flatnonzero(in_conflict.any(0))
     return Zone(
         own_m=(float(rows[0] * _STEP_M), float(rows[-1] * _STEP_M)),
         other_m=(float(columns[0] * _STEP_M), float(columns[-1] * _STEP_M)),
@@ -35,9 +36,10 @@ def _zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
     )
 
 
-def _way(geometry: Geometry, link: Link) -> FloatArray:
+def _centre_line(geometry: Geometry, link: Link) -> FloatArray:
+    """Return points (P, 2) of the centre line over *link*, ``_STEP_M`` apart from the stop line on."""
     lanes = geometry.road.lanes
     line = concatenate([lanes[lane].line for lane in (*link.via, link.to_lane)])
-    inside = sum(lanes[lane].length_m for lane in link.via)
-    stop = min(inside + _BEYOND_M, line.length_m)
-    return Polyline.at(line, np.arange(0.0, max(stop, 1.0), _STEP_M))[0]
+    junction_m = sum(lanes[lane].length_m for lane in link.via)
+    length_m = min(junction_m + _BEYOND_M, line.length_m)
+    return Polyline.at(line, np.arange(0.0, max(length_m, 1.0), _STEP_M))[0]

@@ -1,4 +1,4 @@
-"""What the right of way asks of one path: lines to stop at, and vehicles to let pass."""
+"""Find what the right of way demands on one path: lines to stop at, and vehicles to yield to."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 from advdiff_sumo.planners.lane_graph.rules import Duty, Rule, may_go, rule_at
 from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
-_SIGNAL_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0
-_PASSED_M = 1.5
-_LOOK_M, _LOOK_S = 15.0, 7.0
+_RED_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0  # it does not stop for a signal if that needs more
+_PASSED_M = 1.5  # a slow target so far beyond a stop line can still stop for it
+_REACH_M, _REACH_S = 15.0, 7.0  # links are considered within the drive of 7 s, plus 15 m
 
 
 @dataclass(frozen=True)
 class Foe:
-    """A vehicle with the right of way at a link ahead.
+    """A vehicle on a possible way that has the right of way at a link ahead.
 
     Attributes:
-        way: index of its way.
-        to_stop_m: distance of its front to its own stop line, negative beyond it.
-        zone: where the two ways meet.
-        origin_m: where along the target's path the zone's distances count from.
+        way: index of its possible way.
+        to_stop_m: distance from its front to its own stop line, negative beyond it.
+        zone: conflict area of the two links.
+        origin_m: arc length along the target's path from which the zone's own distances count (its stop line).
         link: the target's link.
     """
 
@@ -43,13 +43,13 @@ class Foe:
 
 @dataclass(frozen=True)
 class Duties:
-    """What holds on one path.
+    """What the traffic rules demand on one path.
 
     Attributes:
-        stop_m: where the front must stop at the latest; inf for nowhere.
-        yield_m: places to wait at, in order, for those that go first.
-        foes: those that go first.
-        passing: links whose stop lines a plan may pass.
+        stop_m: arc length at which the front must stop at the latest; inf for none.
+        yield_m: arc lengths at which to wait for the foes, in order.
+        foes: vehicles with the right of way.
+        passing: links whose stop lines are still ahead, with their arc lengths.
     """
 
     stop_m: float
@@ -68,14 +68,14 @@ def duties(
     memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> Duties:
-    """Return what the links ahead on *variant* ask for."""
-    stop, yields, foes, passing = _dead_end(variant), list[float](), list[Foe](), []
+    """Return what the links ahead on *variant* demand."""
+    stop, waiting_m, foes, passing = _dead_end(variant), list[float](), list[Foe](), []
     front = variant.s_m + state.front_m
-    reach = state.speed_mps * _LOOK_S + _LOOK_M
+    reach_m = state.speed_mps * _REACH_S + _REACH_M
     path = variant.path
     for link, line, beyond in zip(path.links, path.stop_m, path.exit_m, strict=True):
         distance = line - front
-        if variant.s_m > beyond + state.front_m or distance > reach:
+        if variant.s_m > beyond + state.front_m or distance > reach_m:
             continue
         rule = rule_at(geometry.road, link, scene.signals)
         at_line = distance > (-_PASSED_M if state.speed_mps < 1.0 else -0.3)
@@ -88,18 +88,18 @@ def duties(
         if not rule.in_turn:
             foes += junction_foes
             if junction_foes:
-                yields.append(_waiting_place(geometry, link, line, front, junction_foes))
+                waiting_m.append(_waiting_position_m(geometry, link, line, front, junction_foes))
         if at_line:
             passing.append((link, line))
-    return Duties(stop, tuple(yields[:2]), tuple(foes), tuple(passing))
+    return Duties(stop, tuple(waiting_m[:2]), tuple(foes), tuple(passing))
 
 
 def _dead_end(variant: Variant) -> float:
-    """Return where to stop because the route does not go on from this lane."""
+    """Return where to stop if the route cannot be followed from this lane; inf if it can."""
     if variant.chain.serves:
         return np.inf
-    end = variant.path.length_m
-    return end - 2.0 - 8.0 * max(abs(variant.chain.changes) - 1, 0)
+    end_m = variant.path.length_m
+    return end_m - 2.0 - 8.0 * max(abs(variant.chain.changes) - 1, 0)
 
 
 def _must_stop(
@@ -114,19 +114,20 @@ def _must_stop(
     memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> bool:
-    brake = state.speed_mps**2 / (2.0 * max(distance_m, 0.1))
+    """Return whether the target must stop at the line of *link*, for a signal, a stop sign or its turn to go."""
+    required_mps2 = state.speed_mps**2 / (2.0 * max(distance_m, 0.1))
     if rule.duty is Duty.STOP:
-        return brake < _SIGNAL_BRAKE_MPS2
+        return required_mps2 < _RED_BRAKE_MPS2
     if rule.duty is Duty.CLEAR:
-        return brake < _YELLOW_BRAKE_MPS2
+        return required_mps2 < _YELLOW_BRAKE_MPS2
     if rule.duty is not Duty.STOP_THEN_YIELD:
         return False
     if memory.stopped != (link.from_lane, link.to_lane):
         return True
-    return rule.in_turn and _others_first(scene, foes, others, ways, memory, options)
+    return rule.in_turn and _must_wait_turn(scene, foes, others, ways, memory, options)
 
 
-def _others_first(
+def _must_wait_turn(
     scene: Scene,
     foes: Sequence[Foe],
     others: Others,
@@ -134,16 +135,16 @@ def _others_first(
     memory: LaneGraphMemory,
     options: LaneGraphOptions,
 ) -> bool:
-    """Return whether, at an all-way stop, someone is on the junction or has waited longer."""
+    """Return whether, at an all-way stop, a foe is on the junction or arrived before the target."""
     since = memory.waiting_since_s
-    mine = since.get(scene.target_id, scene.time_s)
+    own_arrival = since.get(scene.target_id, scene.time_s)
     for foe in foes:
-        name = scene.history.ids[int(others.rows[ways[foe.way].other])]
+        foe_id = scene.history.ids[int(others.rows[ways[foe.way].other])]
         if foe.to_stop_m < -0.5 and not others.standing[ways[foe.way].other]:
             return True
-        first = since.get(name, np.inf)
-        patient = scene.time_s - mine < options.patience_s
-        if patient and foe.to_stop_m < 5.0 and (first, name) < (mine, scene.target_id):
+        arrival = since.get(foe_id, np.inf)
+        is_patient = scene.time_s - own_arrival < options.patience_s
+        if is_patient and foe.to_stop_m < 5.0 and (arrival, foe_id) < (own_arrival, scene.target_id):
             return True
     return False
 
@@ -157,34 +158,35 @@ def _foes(
     ways: Sequence[PossibleWay],
     others: Others,
 ) -> list[Foe]:
+    """Return the vehicles that may enter the junction now and have the right of way over *link*."""
     if not rule.yields_to:
         return []
     foes = []
     for n, way in enumerate(ways):
-        ahead = way.next_link(0.5 * float(others.size_m[way.other, 0]))
-        if ahead is None:
+        next_link = way.next_link(0.5 * float(others.size_m[way.other, 0]))
+        if next_link is None:
             continue
-        theirs, to_stop = ahead
-        if theirs.junction_id != link.junction_id or theirs.request_index not in rule.yields_to:
+        foe_link, to_stop = next_link
+        if foe_link.junction_id != link.junction_id or foe_link.request_index not in rule.yields_to:
             continue
-        if to_stop > 0.0 and not may_go(theirs, scene.signals):
+        if to_stop > 0.0 and not may_go(foe_link, scene.signals):
             continue
-        zone = conflict_zone(geometry, link, theirs)
+        zone = conflict_zone(geometry, link, foe_link)
         if zone is not None:
             foes.append(Foe(n, to_stop, zone, line_m, link))
     return foes
 
 
-def _waiting_place(
+def _waiting_position_m(
     geometry: Geometry, link: Link, line_m: float, front_m: float, foes: Sequence[Foe]
 ) -> float:
-    """Return where to wait: at the line, at the waiting position on the junction, or short of the conflict."""
-    place = line_m
+    """Return where to wait: at the line, at the waiting position on the junction, or before the conflict areas."""
+    waiting_m = line_m
     if len(link.via) > 1:
-        place = line_m + geometry.road.lanes[link.via[0]].length_m
-    if front_m > place + 0.5:
-        place = line_m + min(foe.zone.own_m[0] for foe in foes)
-    return place
+        waiting_m = line_m + geometry.road.lanes[link.via[0]].length_m
+    if front_m > waiting_m + 0.5:
+        waiting_m = line_m + min(foe.zone.own_m[0] for foe in foes)
+    return waiting_m
 
 
 def _exit_blocked(
@@ -196,7 +198,7 @@ def _exit_blocked(
     variant: Variant,
     others: Others,
 ) -> bool:
-    """Return whether a standing queue leaves no room beyond a junction that others cross."""
+    """Return whether a standing queue leaves no room for the target beyond a junction with crossing traffic."""
     junction = geometry.road.junctions.get(link.junction_id)
     if junction is None or not junction.foes.get(link.request_index):
         return False
@@ -204,6 +206,6 @@ def _exit_blocked(
         return False
     s, d = variant.path.project(others.xy_m)
     rear = s - 0.5 * others.size_m[:, 0]
-    stands = (np.abs(d) < 1.5) & (others.speed_mps < 1.0) & (rear > line_m)
-    room = beyond_m + state.length_m + 1.5
-    return bool((stands & (rear < room)).any())
+    in_queue = (np.abs(d) < 1.5) & (others.speed_mps < 1.0) & (rear > line_m)
+    needed_m = beyond_m + state.length_m + 1.5
+    return bool((in_queue & (rear < needed_m)).any())

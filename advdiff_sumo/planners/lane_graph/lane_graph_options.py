@@ -1,4 +1,4 @@
-"""What may be set on the lane-graph planner."""
+"""Options of the lane-graph planner."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ class LaneGraphOptions(Options):
     """How the lane-graph planner drives.
 
     Attributes:
-        speed_factor: desired speed over the lane's limit.
-        time_headway_s: gap in time that it keeps to a leader (IDM's T).
+        speed_factor: desired speed divided by the lane's limit.
+        time_headway_s: time gap to a leader (IDM's T).
         min_gap_m: gap to a leader at standstill (IDM's s0).
         stop_gap_m: gap between front bumper and stop line.
         accel_mps2: strongest acceleration (IDM's a).
         decel_mps2: comfortable deceleration (IDM's b).
-        brake_mps2: deceleration of the emergency candidate.
-        jerk_mps3: change of acceleration per second outside emergencies.
-        lateral_mps2: lateral acceleration that bounds the speed in bends.
-        lane_change_s: duration of a change by a whole lane.
-        horizon_s: how far candidates are checked.
-        gap_s: time that must lie between it and a vehicle with the right of way.
-        margin_m: clearance below which two boxes count as a collision.
-        courtesy_m: clearance below which closeness costs.
-        lane_changes: whether it changes lanes to go faster; changes that the route asks for it always does.
-        patience_s: after so long it no longer waits for vehicles that stand as well.
+        brake_mps2: deceleration of the emergency candidate, and the strongest of all.
+        jerk_mps3: largest change of acceleration per second outside emergencies.
+        lateral_mps2: lateral acceleration that limits the speed in bends.
+        lane_change_s: duration of a lane change.
+        horizon_s: duration over which candidates are checked.
+        gap_s: time gap to keep to a vehicle with the right of way.
+        margin_m: two footprints with less clearance count as a collision.
+        courtesy_m: clearance below which a candidate costs more.
+        lane_changes: whether it changes lanes to go faster; it always makes the lane changes that its route needs.
+        patience_s: after waiting so long it no longer yields to vehicles that stand, too.
     """
 
     speed_factor: float = Field(1.0, gt=0.0, le=2.0)

@@ -1,4 +1,4 @@
-"""What the lane-graph planner remembers from one plan to the next."""
+"""Hold what the lane-graph planner remembers from one plan to the next."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from advdiff_sumo.planners.lane_graph.path import Geometry
 
 @dataclass(frozen=True)
 class LaneGraphMemory:
-    """State between plans; :attr:`geometry` only saves work, it changes no plan.
+    """State between plans; :attr:`geometry` is a cache only and changes no plan.
 
     Attributes:
-        geometry: reference lines made so far.
-        lanes: lanes of the path chosen last; () at first.
-        links: its links.
-        route: edges ahead when that path was chosen.
-        detour: it gave up the given route on this edge.
-        serves: whether the path chosen last serves the route.
-        curvature_1pm: curvature planned for now.
-        accel_mps2: acceleration planned for now.
-        committed: stop lines, by (from lane, to lane), that it decided to pass.
-        stopped: link at which it has come to a stop, as a stop sign asks.
-        waiting_since_s: when each vehicle that stands came to stand.
+        geometry: reference lines computed so far.
+        lanes: lanes of the previous path; () at first.
+        links: links of the previous path.
+        route: edges ahead at the previous plan.
+        detour: whether it left the given route on the first of these edges.
+        serves: whether the previous path follows the route.
+        curvature_1pm: curvature planned for the present instant.
+        accel_mps2: acceleration planned for the present instant.
+        committed: links, by (from lane, to lane), that the target is on or has decided to enter.
+        stopped: link at whose stop line it has come to a stop.
+        waiting_since_s: time at which each standing vehicle, the target too, came to a stop.
     """
 
     geometry: Geometry

@@ -1,4 +1,4 @@
-"""A chain of lanes as one smooth reference line, sampled evenly so that look-ups are array indexing."""
+"""Build smooth reference lines along chains of lanes, sampled evenly so that look-ups are array indexing."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.lane_graph.chains import Changes, required_changes
 
 SPACING_M = 1.0
-_SMOOTH = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
-_LEAD = 4
-_TIGHTEST_1PM = 0.17  # a car of 5 m can turn at 0.23; the rest is for steering back
-_SWINGS_FROM_M, _SWING, _SWINGS_BY_M = 0.4, 0.7, 0.5  # a car has 0.6 m to the edges of a lane
-_EARLIER = 9  # points; after the corner it is on its line again
-_WIDE = np.exp(-0.5 * (np.arange(-15, 16) / 7.0) ** 2)
-_ROUNDINGS = 100
-_FAR_AWAY_M = 1e7
+_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0
+_EXTRA_POINTS = 4  # sampled beyond each end, for the smoothing
+_MAX_CURVATURE_1PM = 0.17  # a car of 5 m can turn at 0.23; the rest is for steering back
+_MAX_ROUNDINGS = 100
+# Swinging out before a tight corner. A car has 0.6 m to the edges of a lane.
+_SWING_MIN_CUT_M = 0.4  # only if rounding cuts the corner by more
+_SWING_PER_CUT, _MAX_SWING_M = 0.7, 0.5
+_SWING_LEAD = 9  # the swing is so much before the corner; after it the line is the usual one
+_SWING_KERNEL = np.exp(-0.5 * (np.arange(-15, 16) / 7.0) ** 2)
+_PADDING_M = 1e7  # coordinates that no point is near to
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +32,14 @@ class ReferencePath:
     """A reference line of P points, ``SPACING_M`` apart.
 
     Attributes:
-        lanes: lane ids in driving order, internal ones included; () off the lanes.
-        lane_start_m: where each lane begins.
-        links: connections over junctions that the chain takes.
-        stop_m: where each link begins (its stop line).
-        exit_m: where the lane beyond each link begins.
-        length_m: length.
+        lanes: lane ids in driving order, internal ones included; () for a line that follows no lane.
+        lane_start_m: arc length at which each lane begins.
+        links: connections over junctions along the path.
+        stop_m: arc length of each link's stop line.
+        exit_m: arc length at which the lane beyond each link begins.
+        length_m: total length.
         xy_m: (P, 2) points.
-        yaw_rad: (P,) headings, without jumps by a full turn.
+        yaw_rad: (P,) unwrapped headings.
         curvature_1pm: (P,) left positive.
         limit_mps: (P,) speed limit.
     """
@@ -55,7 +57,7 @@ class ReferencePath:
 
     @cached_property
     def bend_mps(self) -> FloatArray:
-        """(P,) speed at which the lateral acceleration is 1 m/s²; scales with its square root."""
+        """(P,) speed at which the lateral acceleration is 1 m/s²; for a m/s², multiply by √a."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.abs(self.curvature_1pm), 1e-4)))
 
     @cached_property
@@ -64,31 +66,33 @@ class ReferencePath:
         return np.asarray((self.xy_m**2).sum(-1))
 
     def at(self, s_m: FloatArray, d_m: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left; straight on beyond the ends."""
-        low, share = self._cell(s_m)
-        begin, yaw = self.xy_m[low], self._between(self.yaw_rad, low, share)
-        xy = begin + share[..., None] * (self.xy_m[low + 1] - begin)
+        """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left; straight beyond the ends."""
+        cell, fraction = self._cell(s_m)
+        begin, yaw = self.xy_m[cell], self._interpolated(self.yaw_rad, cell, fraction)
+        xy = begin + fraction[..., None] * (self.xy_m[cell + 1] - begin)
         normal = np.empty(xy.shape)
         normal[..., 0], normal[..., 1] = -np.sin(yaw), np.cos(yaw)
         return xy + np.asarray(d_m)[..., None] * normal, yaw
 
     def yaw_at(self, s_m: FloatArray) -> FloatArray:
         """Return the headings (…,) at *s_m*, as :meth:`at` does."""
-        return self._between(self.yaw_rad, *self._cell(s_m))
+        return self._interpolated(self.yaw_rad, *self._cell(s_m))
 
     def curvature_at(self, s_m: FloatArray) -> FloatArray:
         """Return the curvature (…,) at *s_m*."""
-        return self._between(self.curvature_1pm, *self._cell(s_m))
+        return self._interpolated(self.curvature_1pm, *self._cell(s_m))
 
     def project(
         self, xy_m: FloatArray, window_m: tuple[float, float] = (0.0, np.inf)
     ) -> tuple[FloatArray, FloatArray]:
-        """Return ``s`` and ``d`` (…,) of points (…, 2); beyond the ends of *window_m* the line goes on straight."""
+        """Return ``s`` and ``d`` (…,) of points (…, 2); straight beyond the ends of *window_m* (arc lengths)."""
         flat = xy_m.reshape(-1, 2)
         first = int(min(max(window_m[0] / SPACING_M, 0), len(self.xy_m) - 2))
         window = slice(first, int(min(window_m[1] / SPACING_M, len(self.xy_m))) + 2)
         squared = 2.0 * flat @ self.xy_m[window].T
-        np.subtract(self.squared_m2[window], squared, out=squared)  # (N, P), less a constant of each row
+        np.subtract(
+            self.squared_m2[window], squared, out=squared
+        )  # (N, P) squared distances, up to a constant in each row
         nearest = first + np.argmin(squared, axis=-1)
         delta = flat - self.xy_m[nearest]
         cos, sin = np.cos(self.yaw_rad[nearest]), np.sin(self.yaw_rad[nearest])
@@ -101,26 +105,27 @@ class ReferencePath:
         lane = int(np.searchsorted(self.lane_start_m, s_m, side="right")) - 1
         return min(max(lane, 0), len(self.lanes) - 1)
 
-    def _between(self, values: FloatArray, low: IntArray, share: FloatArray) -> FloatArray:
-        """Return *values* (P,) a bounded *share* (…,) of the way from the points *low* to the next ones."""
-        begin, bounded = values[low], np.minimum(np.maximum(share, 0.0), 1.0)
-        return np.asarray(begin + bounded * (values[low + 1] - begin))
+    def _interpolated(self, values: FloatArray, cell: IntArray, fraction: FloatArray) -> FloatArray:
+        """Interpolate *values* (P,) from points *cell* to the next ones; *fraction* (…,) is clipped to [0, 1]."""
+        begin, clipped = values[cell], np.minimum(np.maximum(fraction, 0.0), 1.0)
+        return np.asarray(begin + clipped * (values[cell + 1] - begin))
 
     def _cell(self, s_m: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the index (…,) of the point before each *s_m*, and the fraction of the spacing beyond it."""
         scaled = np.asarray(s_m, dtype=np.float64) / SPACING_M
-        low = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), len(self.xy_m) - 2)
-        return low, scaled - low
+        cell = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), len(self.xy_m) - 2)
+        return cell, scaled - cell
 
 
 class PathStack:
-    """N reference lines side by side, for look-ups of all of them at once."""
+    """N reference lines in one padded array, for look-ups on all of them at once."""
 
     def __init__(self, paths: Sequence[ReferencePath]) -> None:
         self.count = np.array([len(path.xy_m) for path in paths], dtype=np.int64)
         longest = int(self.count.max(initial=2))
-        self.xy_m = np.full((len(paths), longest, 2), _FAR_AWAY_M)
+        self.xy_m = np.full((len(paths), longest, 2), _PADDING_M)
         self.yaw_rad = np.zeros((len(paths), longest))
-        self.squared_m2 = np.full((len(paths), longest), 2.0 * _FAR_AWAY_M**2)
+        self.squared_m2 = np.full((len(paths), longest), 2.0 * _PADDING_M**2)
         for n, path in enumerate(paths):
             self.xy_m[n, : self.count[n]], self.yaw_rad[n, : self.count[n]] = path.xy_m, path.yaw_rad
             self.squared_m2[n, : self.count[n]] = path.squared_m2
@@ -129,16 +134,16 @@ class PathStack:
         """Return points (N, T, 2) and headings (N, T) at *s_m* (N, T), *d_m* (N, T) to the left."""
         rows = np.arange(len(self.count))[:, None]
         scaled = s_m / SPACING_M
-        low = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), self.count[:, None] - 2)
-        share = scaled - low
-        a, b = self.xy_m[rows, low], self.xy_m[rows, low + 1]
-        yaw = self.yaw_rad[rows, low]
-        yaw = yaw + np.minimum(np.maximum(share, 0.0), 1.0) * (self.yaw_rad[rows, low + 1] - yaw)
+        cell = np.minimum(np.maximum(scaled, 0.0).astype(np.int64), self.count[:, None] - 2)
+        fraction = scaled - cell
+        begin, end = self.xy_m[rows, cell], self.xy_m[rows, cell + 1]
+        yaw = self.yaw_rad[rows, cell]
+        yaw = yaw + np.minimum(np.maximum(fraction, 0.0), 1.0) * (self.yaw_rad[rows, cell + 1] - yaw)
         normal = np.stack((-np.sin(yaw), np.cos(yaw)), -1)
-        return a + share[..., None] * (b - a) + d_m[..., None] * normal, yaw
+        return begin + fraction[..., None] * (end - begin) + d_m[..., None] * normal, yaw
 
     def project(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ``s`` and ``d`` (N, K) of points (K, 2), or (N, K, 2), on every line; the ends go on straight."""
+        """Return ``s`` and ``d`` (N, K) of points (K, 2), or (N, K, 2), on each line; straight beyond the ends."""
         squared = 2.0 * xy_m @ self.xy_m.transpose(0, 2, 1)  # (N, K, P)
         np.subtract(self.squared_m2[:, None], squared, out=squared)
         nearest = np.argmin(squared, axis=-1)
@@ -151,12 +156,12 @@ class PathStack:
 
 @dataclass(frozen=True)
 class Zone:
-    """Where the ways of two links come too near to each other, from each one's stop line on.
+    """Conflict area of two links: where vehicles on both come too close; distances count from each stop line.
 
     Attributes:
-        own_m: begin and end along the own way.
-        other_m: begin and end along the other's way.
-        merges: both lead to the same lane.
+        own_m: begin and end along the own link.
+        other_m: begin and end along the other link.
+        merges: whether both links lead to the same lane.
     """
 
     own_m: tuple[float, float]
@@ -166,11 +171,11 @@ class Zone:
 
 @dataclass(eq=False)
 class Geometry:
-    """What is derived from one road map: reference lines and conflict areas, each made once.
+    """Cache of what is derived from one road map: reference lines, conflict areas and lane changes.
 
     Attributes:
         road: the map.
-        conflicts: conflict areas of pairs of links, kept by :mod:`.conflicts`.
+        conflicts: conflict areas of pairs of links, filled by :mod:`.conflicts`.
     """
 
     road: RoadMap
@@ -180,7 +185,7 @@ class Geometry:
 
     @staticmethod
     def of(road: RoadMap) -> Geometry:
-        """Return the empty store for *road*."""
+        """Return an empty cache for *road*."""
         return Geometry(road)
 
     def changes(self, edges: Sequence[str]) -> Changes:
@@ -199,7 +204,7 @@ class Geometry:
 
 
 def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> ReferencePath:
-    """Return a straight reference line of no lane, from *xy_m* (2,) on."""
+    """Return a straight reference line that follows no lane and begins at *xy_m* (2,)."""
     s = SPACING_M * np.arange(max(int(length_m / SPACING_M), 2) + 1)
     ahead = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
     return ReferencePath(
@@ -217,13 +222,15 @@ def straight_path(xy_m: FloatArray, yaw_rad: float, length_m: float) -> Referenc
 
 
 def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> ReferencePath:
+    """Return the reference line along *lanes*; see :class:`ReferencePath`."""
     parts = [road.lanes[lane] for lane in lanes]
     raw = concatenate([part.line for part in parts])
     lengths = np.array([part.line.length_m for part in parts])
-    bounds = np.concatenate(([0.0], np.cumsum(lengths))) * raw.length_m / lengths.sum()  # gaps count as road
-    grid = SPACING_M * np.arange(max(int(np.ceil(raw.length_m / SPACING_M)) + 1, 3))
-    xy, yaw, curvature = _smoothed(raw, len(grid))
-    lane_of = np.clip(np.searchsorted(bounds[1:], grid, side="right"), 0, len(parts) - 1)
+    # gaps between lanes are shared out over the lanes
+    bounds = np.concatenate(([0.0], np.cumsum(lengths))) * raw.length_m / lengths.sum()
+    s = SPACING_M * np.arange(max(int(np.ceil(raw.length_m / SPACING_M)) + 1, 3))
+    xy, yaw, curvature = _smoothed(raw, len(s))
+    lane_of = np.clip(np.searchsorted(bounds[1:], s, side="right"), 0, len(parts) - 1)
     entries, exits = _link_lanes(lanes, links)
     return ReferencePath(
         lanes=lanes,
@@ -240,36 +247,36 @@ def _build(road: RoadMap, lanes: tuple[str, ...], links: tuple[Link, ...]) -> Re
 
 
 def _smoothed(raw: Polyline, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return *count* points of *raw*, corners rounded over two metres each way, with heading and curvature.
+    """Return *count* points of *raw* with rounded corners, their headings and curvatures.
 
-    Corners that are too tight for a car are rounded further. Where that would cut them by more than _SWINGS_FROM_M, the
-    line swings out before them, as drivers do.
+    Every corner is rounded over two metres each way, and further if it is too tight for a car. If that would cut
+    the corner by more than _SWING_MIN_CUT_M, the line swings out before it, as drivers do.
     """
-    s = SPACING_M * np.arange(-_LEAD, count + _LEAD, dtype=np.float64)
-    xy = _convolved(raw.at(s, extrapolate=True)[0], _SMOOTH, "valid")
+    s = SPACING_M * np.arange(-_EXTRA_POINTS, count + _EXTRA_POINTS, dtype=np.float64)
+    xy = _convolved(raw.at(s, extrapolate=True)[0], _SMOOTHING, "valid")
     rounded = _rounded(xy)
     cut = rounded - xy
-    deepest_m = float(np.hypot(*cut.T).max())
-    if deepest_m > _SWINGS_FROM_M:
-        margin = len(_WIDE) // 2
-        wide = _convolved(np.pad(cut, ((margin, margin), (0, 0)), mode="edge"), _WIDE, "valid")
-        swing_m = min(_SWING * deepest_m, _SWINGS_BY_M)
-        before = np.concatenate((wide[_EARLIER:], np.zeros((_EARLIER, 2))))
-        rounded = _rounded(xy - swing_m / float(np.hypot(*wide.T).max()) * before)
-    trim = slice(_LEAD - len(_SMOOTH) // 2, _LEAD - len(_SMOOTH) // 2 + count)
+    max_cut_m = float(np.hypot(*cut.T).max())
+    if max_cut_m > _SWING_MIN_CUT_M:
+        margin = len(_SWING_KERNEL) // 2
+        smooth = _convolved(np.pad(cut, ((margin, margin), (0, 0)), mode="edge"), _SWING_KERNEL, "valid")
+        swing_m = min(_SWING_PER_CUT * max_cut_m, _MAX_SWING_M)
+        shifted = np.concatenate((smooth[_SWING_LEAD:], np.zeros((_SWING_LEAD, 2))))
+        rounded = _rounded(xy - swing_m / float(np.hypot(*smooth.T).max()) * shifted)
+    trim = slice(_EXTRA_POINTS - len(_SMOOTHING) // 2, _EXTRA_POINTS - len(_SMOOTHING) // 2 + count)
     yaw, curvature = _bends(rounded)
     return rounded[trim], yaw[trim], curvature[trim]
 
 
 def _rounded(xy_m: FloatArray) -> FloatArray:
-    """Return points (P, 2), ``SPACING_M`` apart, smoothed where they bend by more than a car can."""
+    """Return points (P, 2), ``SPACING_M`` apart, smoothed where the curvature is too high for a car."""
     xy = xy_m
-    for _ in range(_ROUNDINGS):
-        tight = np.convolve(np.abs(_bends(xy)[1]) > _TIGHTEST_1PM, np.ones(9), mode="same") > 0
-        if not tight[2:-2].any():
+    for _ in range(_MAX_ROUNDINGS):
+        too_tight = np.convolve(np.abs(_bends(xy)[1]) > _MAX_CURVATURE_1PM, np.ones(9), mode="same") > 0
+        if not too_tight[2:-2].any():
             break
-        tight[:2] = tight[-2:] = False
-        xy = np.where(tight[:, None], _convolved(xy, _SMOOTH, "same"), xy)
+        too_tight[:2] = too_tight[-2:] = False
+        xy = np.where(too_tight[:, None], _convolved(xy, _SMOOTHING, "same"), xy)
     return xy
 
 
@@ -280,17 +287,17 @@ def _convolved(xy_m: FloatArray, kernel: FloatArray, mode: Literal["same", "vali
 
 def _bends(xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return heading and curvature (P,) of points (P, 2), ``SPACING_M`` apart."""
-    along = np.gradient(xy_m, axis=0)
-    yaw = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    tangent = np.gradient(xy_m, axis=0)
+    yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return yaw, np.gradient(yaw, SPACING_M)
 
 
 def _link_lanes(lanes: Sequence[str], links: Sequence[Link]) -> tuple[list[int], list[int]]:
-    """Return the index of the first lane on the junction, and of the lane beyond it, of each link."""
-    entries, exits, at = [], [], 0
+    """Return, for each link, the index of its first lane on the junction and of the lane beyond it."""
+    entries, exits, beyond = [], [], 0
     for link in links:
-        at = lanes.index(link.to_lane, at + (at > 0))
-        inside = sum(lane in link.via for lane in lanes[max(0, at - len(link.via)) : at])
-        entries.append(at - inside)
-        exits.append(at)
+        beyond = lanes.index(link.to_lane, beyond + (beyond > 0))
+        inside = sum(lane in link.via for lane in lanes[max(0, beyond - len(link.via)) : beyond])
+        entries.append(beyond - inside)
+        exits.append(beyond)
     return entries, exits

@@ -1,4 +1,4 @@
-"""Where the others will be: along their lanes at a pace that bends, leaders, signals and right of way allow."""
+"""Predict the other road users: along their lanes, as fast as bends, leaders, signals and right of way allow."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from advdiff_sumo.planners.lane_graph.path import SPACING_M, PathStack
 from advdiff_sumo.planners.lane_graph.rules import Duty, rule_at
 
 STEP_S = 0.25
-_LATERAL_ACCEL_MPS2 = 3.5
-_SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0
-_FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0
-_FADE_S, _DRIFT_S = 1.0, 1.5
-_HARD_MPS2, _LASTS_S, _LONGEST_S = 3.0, 2.0, 5.0
-_MIN_DRIFT_MPS = 0.25
-_ALIGN_M = 8.0
+_LATERAL_ACCEL_MPS2 = 3.5  # bounds the speed in bends
+_SIGNAL_BRAKE_MPS2, _YIELD_BRAKE_MPS2 = 4.5, 3.0  # no stop is expected that needs more
+_FOLLOW_BRAKE_MPS2, _FOLLOW_GAP_M = 3.0, 1.0  # behind a leader
+_FADE_S = 1.0  # time constant of accelerations
+_HARD_MPS2, _FADE_S_PER_MPS2, _MAX_FADE_S = 3.0, 2.0, 5.0  # harder braking fades more slowly
+_MIN_DRIFT_MPS, _DRIFT_S = 0.25, 1.5  # lateral speed: ignored below, time constant
+_ALIGN_M = 8.0  # distance over which a heading error fades
 _EGO_WIDTH_M = 2.0
 
 
 @dataclass(frozen=True)
 class Forecast(KinematicStates):
-    """Futures (N, T) of N ways at T instants ``STEP_S`` apart, the first one step from now.
+    """Futures (N, T) on N possible ways at T instants ``STEP_S`` apart, the first one step from now.
 
     Attributes:
-        other: (N,) index in :class:`Others`.
-        weight: (N,) share of the way.
-        s_m: (N, T) centres along each way's path; distance driven off the lanes.
+        other: (N,) index of the road user in :class:`Others`.
+        weight: (N,) share of the way among those of its road user.
+        s_m: (N, T) arc length of the centre along the way's path.
         size_m: (N, 2) length and width.
     """
 
@@ -51,7 +51,7 @@ class Ego:
         xy_m: (2,) centre.
         speed_mps: speed.
         length_m: length.
-        claims: its links ahead that it will pass soon, so that who must yield to it is expected to.
+        claims: links ahead that it will pass soon; vehicles that must yield there are expected to yield to it.
     """
 
     xy_m: FloatArray
@@ -64,16 +64,16 @@ def forecast(
     road: RoadMap, scene: Scene, others: Others, ways: Sequence[PossibleWay], ego: Ego, steps: int
 ) -> Forecast:
     """Return the futures of *others* along *ways* over *steps* instants."""
-    index = np.array([way.other for way in ways], dtype=np.int64)
+    owner = np.array([way.other for way in ways], dtype=np.int64)
     stack = PathStack([way.path for way in ways])
     stop = np.array([_stop_m(road, scene, others, way, ego) for way in ways])
     gap, leader_mps = _leaders(stack, others, ways, ego)
-    pace = _paces(ways)
+    max_speed = _max_speeds(ways)
     driven, speed = _drive(
-        others.speed_mps[index],
-        others.accel_mps2[index],
-        np.array([w.s_m for w in ways]),
-        pace,
+        others.speed_mps[owner],
+        others.accel_mps2[owner],
+        np.array([way.s_m for way in ways]),
+        max_speed,
         stop,
         (gap, leader_mps),
         steps,
@@ -84,22 +84,25 @@ def forecast(
         xy_m=xy,
         yaw_rad=yaw,
         speed_mps=speed,
-        other=index,
+        other=owner,
         weight=np.array([way.weight for way in ways]),
         s_m=s0[:, None] + driven,
-        size_m=others.size_m[index],
+        size_m=others.size_m[owner],
     )
 
 
 def _poses(
     stack: PathStack, ways: Sequence[PossibleWay], others: Others, driven_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return centres and headings (N, T): along the lanes, with the drift to the side of a change of lanes."""
-    index = np.array([way.other for way in ways], dtype=np.int64)
+    """Return centres and headings (N, T) after the distances *driven_m* (N, T) along the ways.
+
+    Beside junctions, a road user that moves sideways drifts on for about ``_DRIFT_S``, as in a lane change.
+    """
+    owner = np.array([way.other for way in ways], dtype=np.int64)
     s0, d0, error = (np.array([getattr(w, name) for w in ways]) for name in ("s_m", "d_m", "yaw_error_rad"))
-    drift = others.speed_mps[index] * np.sin(error)
-    steady = np.array([way.on_junction for way in ways], dtype=np.bool_) | (np.abs(drift) < _MIN_DRIFT_MPS)
-    drift = np.where(steady, 0.0, drift)
+    drift = others.speed_mps[owner] * np.sin(error)
+    no_drift = np.array([way.on_junction for way in ways], dtype=np.bool_) | (np.abs(drift) < _MIN_DRIFT_MPS)
+    drift = np.where(no_drift, 0.0, drift)
     time = STEP_S * np.arange(1, driven_m.shape[1] + 1)
     d = d0[:, None] + drift[:, None] * _DRIFT_S * (1.0 - np.exp(-time / _DRIFT_S))
     xy, yaw = stack.at(s0[:, None] + driven_m, d)
@@ -107,7 +110,7 @@ def _poses(
 
 
 def _stop_m(road: RoadMap, scene: Scene, others: Others, way: PossibleWay, ego: Ego) -> float:
-    """Return how far the road user may drive until it must have stopped; inf for no end."""
+    """Return the distance after which the road user must have stopped; inf if it need not stop."""
     front = 0.5 * float(others.size_m[way.other, 0])
     next_link = way.next_link(front)
     if next_link is None or next_link[1] < -1.0:
@@ -115,69 +118,79 @@ def _stop_m(road: RoadMap, scene: Scene, others: Others, way: PossibleWay, ego: 
     link, distance = next_link
     rule = rule_at(road, link, scene.signals)
     speed = float(others.speed_mps[way.other])
-    brake = speed**2 / (2.0 * max(distance - 0.5, 0.1))
+    braking = speed**2 / (2.0 * max(distance - 0.5, 0.1))
     claimed = any(c.junction_id == link.junction_id and c.request_index in rule.yields_to for c in ego.claims)
-    yields = (claimed and not rule.in_turn) or (rule.duty is Duty.STOP_THEN_YIELD and speed > 0.5)
-    stops = rule.duty in (Duty.STOP, Duty.CLEAR) and brake < _SIGNAL_BRAKE_MPS2
-    return max(distance - 0.5, 0.0) if stops or (yields and brake < _YIELD_BRAKE_MPS2) else np.inf
+    must_yield = (claimed and not rule.in_turn) or (rule.duty is Duty.STOP_THEN_YIELD and speed > 0.5)
+    must_stop = rule.duty in (Duty.STOP, Duty.CLEAR) and braking < _SIGNAL_BRAKE_MPS2
+    return max(distance - 0.5, 0.0) if must_stop or (must_yield and braking < _YIELD_BRAKE_MPS2) else np.inf
 
 
 def _leaders(
     stack: PathStack, others: Others, ways: Sequence[PossibleWay], ego: Ego
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gap (N,) to the next road user on each way (inf for none) and that one's speed."""
-    index = np.array([way.other for way in ways], dtype=np.int64)
+    """Return the gap (N,) to the nearest road user ahead on each way (inf for none), and its speed (N,)."""
+    owner = np.array([way.other for way in ways], dtype=np.int64)
     s0, d0 = (np.array([getattr(way, name) for way in ways])[:, None] for name in ("s_m", "d_m"))
     size = np.concatenate((others.size_m, [[ego.length_m, _EGO_WIDTH_M]]))
     speed = np.append(others.speed_mps, ego.speed_mps)
     s, d = stack.project(np.concatenate((others.xy_m, ego.xy_m[None])))  # (N, A + 1)
-    own = others.size_m[index]
-    near = np.abs(d - d0) < 0.5 * (size[:, 1] + own[:, 1:])
-    ahead = near & (s > s0 + 0.5) & (np.arange(len(speed)) != index[:, None])
-    gap = np.where(ahead, s - s0 - 0.5 * (size[:, 0] + own[:, :1]), np.inf)
-    first = np.argmin(gap, axis=1)
-    return gap[np.arange(len(ways)), first], speed[first]
+    own_size = others.size_m[owner]
+    in_path = np.abs(d - d0) < 0.5 * (size[:, 1] + own_size[:, 1:])
+    ahead = in_path & (s > s0 + 0.5) & (np.arange(len(speed)) != owner[:, None])
+    gap = np.where(ahead, s - s0 - 0.5 * (size[:, 0] + own_size[:, :1]), np.inf)
+    nearest = np.argmin(gap, axis=1)
+    return gap[np.arange(len(ways)), nearest], speed[nearest]
 
 
-def _paces(ways: Sequence[PossibleWay]) -> FloatArray:
-    """Return (N, P) the highest sensible speed by distance along each way's path."""
-    pace = np.empty((len(ways), max((len(way.path.xy_m) for way in ways), default=1)))
+def _max_speeds(ways: Sequence[PossibleWay]) -> FloatArray:
+    """Return (N, P) the highest speed at each metre of each way's path: by curvature and speed limit."""
+    max_speed = np.empty((len(ways), max((len(way.path.xy_m) for way in ways), default=1)))
     for n, way in enumerate(ways):
-        bend = np.minimum(np.sqrt(_LATERAL_ACCEL_MPS2) * way.path.bend_mps, 1.1 * way.path.limit_mps)
-        pace[n, : len(bend)], pace[n, len(bend) :] = bend, bend[-1]
-    return pace
+        bound = np.minimum(np.sqrt(_LATERAL_ACCEL_MPS2) * way.path.bend_mps, 1.1 * way.path.limit_mps)
+        max_speed[n, : len(bound)], max_speed[n, len(bound) :] = bound, bound[-1]
+    return max_speed
 
 
 def _drive(
     speed: FloatArray,
     accel: FloatArray,
     s0: FloatArray,
-    pace: FloatArray,
+    max_speed: FloatArray,
     stop: FloatArray,
     leader: tuple[FloatArray, FloatArray],
     steps: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return distance driven and speed (N, T)."""
-    rows, driven, last = np.arange(len(speed)), np.zeros(len(speed)), pace.shape[1] - 1
-    pushes = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _fade_s(accel)) * STEP_S  # (T, N)
-    tails = leader[0] - _FOLLOW_GAP_M + leader[1] * np.arange(steps)[:, None] * STEP_S
+    """Return distance driven and speed (N, T) of N vehicles.
+
+    Args:
+        speed: (N,) present speeds.
+        accel: (N,) present accelerations, which fade.
+        s0: (N,) present arc lengths.
+        max_speed: (N, P) highest speed at each metre of the path.
+        stop: (N,) distance within which to stop, inf for none.
+        leader: (N,) gap to the leader, inf for none, and its speed.
+        steps: number T of instants.
+    """
+    rows, driven, last_cell = np.arange(len(speed)), np.zeros(len(speed)), max_speed.shape[1] - 1
+    speed_gain = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _fade_s(accel)) * STEP_S  # (T, N)
+    leader_tail = leader[0] - _FOLLOW_GAP_M + leader[1] * np.arange(steps)[:, None] * STEP_S
     distances, speeds = np.empty((steps, len(speed))), np.empty((steps, len(speed)))
     for k in range(steps):
-        cell = np.minimum(np.maximum((s0 + driven + 0.5 * speed) / SPACING_M, 0), last).astype(np.int64)
-        bound = pace[rows, cell]
-        slower = np.maximum(speed - 3.0 * STEP_S, bound)
-        wish = np.where(speed > bound, slower, np.minimum(speed + pushes[k], bound))
-        room = np.maximum(stop - driven, 0.0)
-        wish = np.minimum(wish, np.sqrt(2.0 * _SIGNAL_BRAKE_MPS2 * room))
-        free = np.maximum(tails[k] - driven, 0.0)
-        wish = np.minimum(wish, leader[1] + np.sqrt(2.0 * _FOLLOW_BRAKE_MPS2 * free))
-        wish = np.maximum(wish, np.maximum(speed - 8.0 * STEP_S, 0.0))
-        driven = driven + 0.5 * (speed + wish) * STEP_S
-        speed = wish
+        cell = np.minimum(np.maximum((s0 + driven + 0.5 * speed) / SPACING_M, 0), last_cell).astype(np.int64)
+        bound = max_speed[rows, cell]
+        slowing = np.maximum(speed - 3.0 * STEP_S, bound)
+        target = np.where(speed > bound, slowing, np.minimum(speed + speed_gain[k], bound))
+        to_stop = np.maximum(stop - driven, 0.0)
+        target = np.minimum(target, np.sqrt(2.0 * _SIGNAL_BRAKE_MPS2 * to_stop))
+        to_leader = np.maximum(leader_tail[k] - driven, 0.0)
+        target = np.minimum(target, leader[1] + np.sqrt(2.0 * _FOLLOW_BRAKE_MPS2 * to_leader))
+        target = np.maximum(target, np.maximum(speed - 8.0 * STEP_S, 0.0))
+        driven = driven + 0.5 * (speed + target) * STEP_S
+        speed = target
         distances[k], speeds[k] = driven, speed
     return distances.T.copy(), speeds.T.copy()
 
 
 def _fade_s(accel: FloatArray) -> FloatArray:
-    """Return (N,) in which time accelerations fade: whoever brakes hard goes on with it, the harder the longer."""
-    return np.clip(_FADE_S + _LASTS_S * (-accel - _HARD_MPS2), _FADE_S, _LONGEST_S)
+    """Return (N,) the time constants with which accelerations fade: the harder a vehicle brakes, the longer."""
+    return np.clip(_FADE_S + _FADE_S_PER_MPS2 * (-accel - _HARD_MPS2), _FADE_S, _MAX_FADE_S)

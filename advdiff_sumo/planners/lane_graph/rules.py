@@ -1,4 +1,4 @@
-"""Right of way at the links ahead: signals, stop signs, and whom to yield to."""
+"""Find the right of way at links ahead: signals, stop signs, and links to yield to."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Rule:
     """The duty at one link.
 
     Attributes:
-        duty: what to do.
-        yields_to: request indices of the junction that have the right of way.
-        in_turn: all arms stop, the first to wait goes first.
+        duty: what the driver must do.
+        yields_to: request indices of the junction's links that have the right of way.
+        in_turn: True at an all-way stop: vehicles go in order of arrival.
     """
 
     duty: Duty
@@ -58,6 +58,7 @@ def rule_at(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Rule:
 
 
 def _signalled(letter: str, response: frozenset[int]) -> Rule:
+    """Return the rule under signal *letter*; *response* holds the links that the net says to yield to."""
     if letter in RED:
         return Rule(Duty.STOP, frozenset())
     if letter in YELLOW:
@@ -70,5 +71,5 @@ def _signalled(letter: str, response: frozenset[int]) -> Rule:
 
 
 def may_go(link: Link, signals: Mapping[str, str]) -> bool:
-    """Return whether a vehicle that takes *link* may enter the junction now as far as signals go."""
+    """Return whether the signal of *link*, if any, lets a vehicle enter the junction now."""
     return link.signal(signals) not in RED | YELLOW

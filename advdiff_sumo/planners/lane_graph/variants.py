@@ -1,4 +1,4 @@
-"""Lateral choices: keep the lane, shift in it, or change to the next one; quintics over a reference line."""
+"""Propose lateral choices: keep the lane, shift in it, or change to the next one; quintics over a reference line."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ from advdiff_sumo.planners.lane_graph.path import Geometry, ReferencePath
 
 _EDGES_AHEAD = 8
 _MIN_BLEND_M = 10.0
-_NEAR = (4.5, 1.0)  # m beside the path chosen last, rad across it: still on it
-_SWUNG_WIDE = (10.0, 2.0)  # … after a bend too tight for it, and on its way back
-_STUCK_S = 6.0
-_NUDGES_M = (0.6, -0.6)
+# lateral offset (m) and heading error (rad) up to which the target counts as on the previous path:
+_NEAR = (4.5, 1.0)
+_SWUNG_WIDE = (10.0, 2.0)  # coming back after a bend that was too tight for it
+_STUCK_S = 6.0  # after standing so long off its route the target takes a detour
+_SHIFTS_M = (0.6, -0.6)  # lateral offsets within the lane
 
 
 @dataclass(frozen=True)
 class TargetState:
-    """The target now.
+    """State of the target at present.
 
     Attributes:
         xy_m: (2,) centre.
         yaw_rad: heading.
         speed_mps: speed, at least 0.
-        accel_mps2: acceleration that it was about to have.
-        curvature_1pm: curvature that it was about to drive.
+        accel_mps2: acceleration planned for the present instant.
+        curvature_1pm: curvature planned for the present instant.
         length_m: length.
         width_m: width.
     """
@@ -74,13 +75,13 @@ class TargetState:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the target is on the lane graph.
+    """Position of the target on the lane graph.
 
     Attributes:
-        lane_id: the lane it is on.
-        route: edges ahead, from the lane's (or the first beyond the junction).
-        changes: from :func:`required_changes` of the route.
-        over: the connection that it is on, when on a junction.
+        lane_id: lane that it is on.
+        route: edges ahead; the first one is the lane's own, or the one beyond the junction.
+        changes: result of :func:`required_changes` for the route.
+        over: link that it is on; None off junctions.
     """
 
     lane_id: str
@@ -91,17 +92,17 @@ class Place:
 
 @dataclass(frozen=True)
 class Variant:
-    """One lateral choice: a blend of ``blend_m`` from the present offset to ``target_m``.
+    """One lateral choice: a blend over ``blend_m`` from the present offset to ``target_m``.
 
     Attributes:
-        chain: its lanes.
-        path: its reference line.
-        side: lanes to the left of the present one: −1, 0 or 1.
-        s_m: centre now along the path.
-        d_m: offset now, left positive.
+        chain: lanes to follow.
+        path: reference line of the chain.
+        side: 0: the present lane, 1: the lane to the left, −1: to the right.
+        s_m: present arc length of the centre along the path.
+        d_m: present lateral offset, left positive.
         slope: present change of the offset per metre.
         bend_1pm: present change of the slope per metre.
-        target_m: offset to end at.
+        target_m: lateral offset at the end of the blend.
         blend_m: length of the blend.
     """
 
@@ -116,8 +117,8 @@ class Variant:
     blend_m: float
 
     def lateral(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return offset and slope (…,) at *s_m*: a quintic that ends straight and uncurved on the target."""
-        u, (c1, c2, c3, c4, c5) = self._share(s_m), self._powers
+        """Return offset and slope (…,) at *s_m*: a quintic that ends on ``target_m`` with zero slope and curvature."""
+        u, (c1, c2, c3, c4, c5) = self._share(s_m), self._coefficients
         slope = (c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))) / self.blend_m
         return self._offset(u), slope
 
@@ -126,15 +127,17 @@ class Variant:
         return self._offset(self._share(s_m))
 
     def _share(self, s_m: FloatArray) -> FloatArray:
+        """Return the share (…,) of the blend that is done at *s_m*, from 0 to 1."""
         return np.minimum(np.maximum((s_m - self.s_m) / self.blend_m, 0.0), 1.0)
 
     def _offset(self, u: FloatArray) -> FloatArray:
-        c1, c2, c3, c4, c5 = self._powers
+        """Return the offset (…,) at the shares *u* (…,) of the blend."""
+        c1, c2, c3, c4, c5 = self._coefficients
         return self.d_m + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
 
     @property
-    def _powers(self) -> tuple[float, float, float, float, float]:
-        """What the first to the fifth power of the share of the blend are multiplied by."""
+    def _coefficients(self) -> tuple[float, float, float, float, float]:
+        """Coefficients of the first to fifth power of the share of the blend."""
         c1, c2 = self.slope * self.blend_m, 0.5 * self.bend_1pm * self.blend_m**2
         gap = self.target_m - self.d_m
         c3 = 10.0 * gap - 6.0 * c1 - 3.0 * c2
@@ -145,34 +148,35 @@ class Variant:
         """Return centres (…, 2) and headings (…,) at *s_m*."""
         d, slope = self.lateral(s_m)
         xy, yaw = self.path.at(s_m, d)
-        lever = np.maximum(1.0 - self.path.curvature_at(s_m) * d, 0.2)
-        return xy, yaw + np.arctan2(slope, lever)
+        scale = np.maximum(1.0 - self.path.curvature_at(s_m) * d, 0.2)
+        return xy, yaw + np.arctan2(slope, scale)
 
 
 def locate(
     geometry: Geometry, state: TargetState, route: Sequence[str], memory: LaneGraphMemory, waited_s: float
 ) -> Place | None:
-    """Return where the target is: on the path chosen last, if it is still near, else on the likeliest lane.
+    """Return where the target is; None if no lane is near.
 
-    Who has swung wide in a bend comes back to the path chosen last rather than go on where the route does not lead.
+    While it is near the previous path, it is on that path, else on the likeliest lane. A target that has swung wide
+    in a bend comes back to the previous path if the lane found does not lead along its route.
     """
     lane = _tracked(geometry, state, memory, *_NEAR)
     if lane is None:
         lane = _likeliest(geometry, state, route, memory)
     if lane is None:
         return None
-    ahead = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
-    return Place(lane, ahead, geometry.changes(ahead), geometry.road.link_over.get(lane))
+    edges = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
+    return Place(lane, edges, geometry.changes(edges), geometry.road.link_over.get(lane))
 
 
 def _edges_ahead(
     road: RoadMap, lane: str, route: tuple[str, ...], memory: LaneGraphMemory, waited_s: float
 ) -> tuple[str, ...]:
-    """Return the edges ahead; by a detour when the target stands in a lane that it cannot leave for the route."""
+    """Return the edges ahead; by a detour if the target stands in a lane from which it cannot follow the route."""
     ahead = route_ahead(road, lane, route)
     on_detour = not road.lanes[lane].is_internal and memory.route[:1] == ahead[:1] and memory.detour
-    stuck = waited_s > _STUCK_S and len(ahead) > 1 and not memory.serves
-    if (stuck or on_detour) and not road.lanes[lane].is_internal:
+    is_stuck = waited_s > _STUCK_S and len(ahead) > 1 and not memory.serves
+    if (is_stuck or on_detour) and not road.lanes[lane].is_internal:
         return detour(road, lane, route[-1]) or ahead
     return ahead
 
@@ -180,33 +184,38 @@ def _edges_ahead(
 def _likeliest(
     geometry: Geometry, state: TargetState, route: Sequence[str], memory: LaneGraphMemory
 ) -> str | None:
+    """Return the lane at the target's pose, on its route if possible; None if there is none within 50 m."""
     road = geometry.road
-    known = list(route) if route else None
-    pose = road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=known)
-    if pose is None or (route and not _serves(geometry, pose.lane_id, route)):
-        path = _tracked(geometry, state, memory, *_SWUNG_WIDE)
-        if path is not None:
-            return path
+    edges = list(route) if route else None
+    pose = road.locate(state.xy_m, state.yaw_rad, vclass="passenger", route=edges)
+    if pose is None or (route and not _is_on_route(geometry, pose.lane_id, route)):
+        tracked = _tracked(geometry, state, memory, *_SWUNG_WIDE)
+        if tracked is not None:
+            return tracked
     pose = pose or road.locate(state.xy_m, state.yaw_rad, max_distance_m=50.0)
     return None if pose is None else pose.lane_id
 
 
-def _serves(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
+def _is_on_route(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
+    """Return whether *lane*, or the lane beyond it on a junction, is on *route*."""
     link = geometry.road.link_over.get(lane)
     beyond = lane if link is None else link.to_lane
     return geometry.road.lanes[beyond].edge_id in route
 
 
 def _tracked(
-    geometry: Geometry, state: TargetState, memory: LaneGraphMemory, offset_m: float, across_rad: float
+    geometry: Geometry, state: TargetState, memory: LaneGraphMemory, max_offset_m: float, max_error_rad: float
 ) -> str | None:
-    """Return the lane on or beside the path chosen last, if the target is near enough to it."""
+    """Return the lane of the previous path at the target, or the lane beside that one where the target is.
+
+    None if its lateral offset exceeds *max_offset_m* or its heading error *max_error_rad*, or if the path is over.
+    """
     if not memory.lanes:
         return None
     path = geometry.path(memory.lanes, memory.links)
-    s, d = (float(x) for x in path.project(state.xy_m))
+    s, d = (float(value) for value in path.project(state.xy_m))
     error = abs(float(wrap_angle(state.yaw_rad - float(path.yaw_at(np.asarray(s))))))
-    if abs(d) > offset_m or error > across_rad or s > path.length_m + 1.0:
+    if abs(d) > max_offset_m or error > max_error_rad or s > path.length_m + 1.0:
         return None
     lane = geometry.road.lanes[path.lanes[path.lane_at(s)]]
     while abs(d) > 0.5 * lane.width_m:
@@ -222,24 +231,25 @@ def _tracked(
 def variants(
     geometry: Geometry, state: TargetState, place: Place, memory: LaneGraphMemory, options: LaneGraphOptions
 ) -> list[Variant]:
-    """Return the lateral choices; the first one keeps the lane.
+    """Return the lateral choices; the first one is the middle of the present lane.
 
-    On a junction no change of lanes is begun, but one that was underway goes on.
+    On a junction no lane change begins, but one that has begun continues.
     """
     road, lane = geometry.road, geometry.road.lanes[place.lane_id]
-    reach = state.speed_mps * (options.horizon_s + 4.0) + 60.0
-    keep = _with_back(_chain(road, place.lane_id, place, reach), place, memory)
-    kept = _variants(geometry, state, keep, 0, (0.0, *_NUDGES_M), options)
+    reach_m = state.speed_mps * (options.horizon_s + 4.0) + 60.0
+    own_chain = _with_junction_behind(_chain(road, place.lane_id, place, reach_m), place, memory)
+    choices = _variants(geometry, state, own_chain, 0, (0.0, *_SHIFTS_M), options)
     for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
         if beside is None or (place.over is not None and beside not in memory.lanes):
             continue
         if road.lanes[beside].permits("passenger"):
-            chain = _chain(road, beside, replace(place, over=road.link_over.get(beside)), reach)
-            kept += _variants(geometry, state, chain, side, (0.0,), options)
-    return kept
+            chain = _chain(road, beside, replace(place, over=road.link_over.get(beside)), reach_m)
+            choices += _variants(geometry, state, chain, side, (0.0,), options)
+    return choices
 
 
 def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:
+    """Return the chain from *lane* along the route, or over the link on which the target is."""
     if place.over is None:
         return route_chain(road, lane, place.route, place.changes, reach_m + road.lanes[lane].length_m)
     over = place.over
@@ -248,8 +258,8 @@ def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:
     return Chain(lanes, (over, *beyond.links), beyond.serves, 0)
 
 
-def _with_back(chain: Chain, place: Place, memory: LaneGraphMemory) -> Chain:
-    """Prepend the junction just left, so that the reference line does not change behind the target."""
+def _with_junction_behind(chain: Chain, place: Place, memory: LaneGraphMemory) -> Chain:
+    """Prepend the junction that the target has just left, so that the reference line behind it stays the same."""
     if place.over is not None:
         return chain
     for link in memory.links:
@@ -267,21 +277,21 @@ def _variants(
     targets_m: Sequence[float],
     options: LaneGraphOptions,
 ) -> list[Variant]:
-    """Return the blends from where the target is beside *chain* to each of *targets_m*."""
+    """Return the blends from the target's present offset to each of *targets_m*, along *chain*."""
     path = geometry.path(chain.lanes, chain.links)
-    s, d = (float(x) for x in path.project(state.xy_m))
-    at = np.asarray(s)
-    yaw, bend = float(path.yaw_at(at)), float(path.curvature_at(at))
+    s, d = (float(value) for value in path.project(state.xy_m))
+    s_now = np.asarray(s)
+    yaw, curvature = float(path.yaw_at(s_now)), float(path.curvature_at(s_now))
     error = min(max(float(wrap_angle(state.yaw_rad - yaw)), -1.0), 1.0)
-    lever = max(1.0 - bend * d, 0.2)
-    second = min(max(state.curvature_1pm - bend, -0.1), 0.1)
-    slope = lever * np.tan(error)
+    scale = max(1.0 - curvature * d, 0.2)
+    bend_1pm = min(max(state.curvature_1pm - curvature, -0.1), 0.1)
+    slope = scale * np.tan(error)
     blends = [_blend_m(state, target - d, options) for target in targets_m]
     pairs = zip(targets_m, blends, strict=True)
-    return [Variant(chain, path, side, s, d, slope, second, target, blend) for target, blend in pairs]
+    return [Variant(chain, path, side, s, d, slope, bend_1pm, target, blend) for target, blend in pairs]
 
 
 def _blend_m(state: TargetState, across_m: float, options: LaneGraphOptions) -> float:
-    """Return the length of a blend that moves the target by *across_m*."""
-    share = min(max(abs(across_m) / 3.2, 0.4), 1.2)
-    return max(state.speed_mps * options.lane_change_s * share, _MIN_BLEND_M * max(share, 0.6))
+    """Return the length of a blend that moves the target sideways by *across_m*."""
+    lanes = min(max(abs(across_m) / 3.2, 0.4), 1.2)
+    return max(state.speed_mps * options.lane_change_s * lanes, _MIN_BLEND_M * max(lanes, 0.6))

@@ -1,4 +1,4 @@
-"""Contract checker of planners, for every built-in and for users' own."""
+"""Check that a planner, built-in or a user's, keeps the contract of planners."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SEED = 20080915
 
 
 class Part(StrEnum):
-    """Parts of the contract, in the order in which they are looked at."""
+    """Parts of the contract, in the order in which they are checked."""
 
     METHODS = "methods"
     RAISES = "raises nothing"
@@ -37,11 +37,11 @@ class Part(StrEnum):
 
 
 def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
-    """Return what *planner* does against its contract, one sentence each; empty when it keeps it.
+    """Return the breaches of the contract by *planner*, one sentence each; empty if there are none.
 
-    Plans twice from equal memories and random numbers, and once more from the memory that the first plan left, each
-    time in a copy of *scene*, as in an episode.
-    How long plans take is no part of the contract; see :func:`planning_times_s`.
+    The planner plans twice from equal memories and random numbers, then once more from the memory that its first
+    plan returned. Each time it gets a copy of *scene*, as in an episode. The duration of plans is not part of the
+    contract; see :func:`planning_times_s`.
 
     Args:
         planner: the planner.
@@ -52,24 +52,24 @@ def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
 
 
 def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
-    """Return what :func:`check_planner` finds, each with the part of the contract that it belongs to."""
+    """Return the findings of :func:`check_planner`, each with the part of the contract that is broken."""
     missing = [method for method in ("start", "plan") if not callable(getattr(planner, method, None))]
     if missing:
         return [Problem(Part.METHODS, f"it has no method {method}") for method in missing]
     try:
-        first, memory = _begin(planner, road, scene)
-        again, _ = _begin(planner, road, scene)
-        given = scene.copied()
-        later, _ = _unpacked(planner.plan(road, given, memory, np.random.default_rng(_SEED)))
+        first, memory = _first_plan(planner, road, scene)
+        again, _ = _first_plan(planner, road, scene)
+        passed_scene = scene.copied()
+        second, _ = _unpacked(planner.plan(road, passed_scene, memory, np.random.default_rng(_SEED)))
     except _BrokenContractError as error:
         return [Problem(Part.FORM, str(error))]
-    except EpisodeFailure as error:  # one of ours, such as a planner's server, says itself what was wrong
+    except EpisodeFailure as error:  # of a remote planner; its message explains the fault
         part = Part.FORM if isinstance(error, PlanRefusedError) else Part.RAISES
         return [Problem(part, str(error))]
     except BaseException as error:  # noqa: BLE001 - a user's planner may raise anything; that is a finding
         return [Problem(Part.RAISES, what_it_raised(error, planner))]
-    problems = _of_plan(first, scene)
-    problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _of_plan(later, scene)]
+    problems = _plan_problems(first, scene)
+    problems += [Problem(x.part, f"{x.text} (in its second plan)") for x in _plan_problems(second, scene)]
     if any(x.part is Part.FORM for x in problems):
         return problems
     if not same_plan(first, again):
@@ -78,44 +78,45 @@ def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
             "keep state in the memory and draw from the generator that is passed in"
         )
         problems.append(Problem(Part.REPEATS, text))
-    if content_of(given) != content_of(scene):
+    if content_of(passed_scene) != content_of(scene):
         text = "it writes into the scene, which it may: it is given a copy of its own"
         problems.append(Problem(Part.SCENE, text, harmless=True))
     return problems
 
 
 def carries_over(planner: Planner, road: RoadMap, scenes: Sequence[Scene]) -> bool:
-    """Return whether the first plan in the first scene changes once *planner* has planned in all of them.
+    """Return whether the first plan in the first scene changes after *planner* has planned in all scenes.
 
-    A planner that raises is no matter of this check: False.
+    False for a planner that raises, which other checks find.
     """
-    return remembers_situations(lambda scene: _begin(planner, road, scene)[0], scenes, same_plan)
+    return remembers_situations(lambda scene: _first_plan(planner, road, scene)[0], scenes, same_plan)
 
 
 def planning_times_s(planner: Planner, road: RoadMap, scene: Scene, plans: int = 20) -> FloatArray:
-    """Return the wall-clock seconds (plans,) of consecutive plans in *scene*; the first one may warm up caches."""
+    """Return the wall-clock seconds (plans,) of consecutive plans in *scene*; the first may fill caches."""
     rng = np.random.default_rng(_SEED)
     memory = planner.start(road, scene.copied(), rng)
-    taken = np.empty(plans)
+    durations = np.empty(plans)
     for k in range(plans):
-        given = scene.copied()
-        begun = time.perf_counter()
-        _, memory = planner.plan(road, given, memory, rng)
-        taken[k] = time.perf_counter() - begun
-    return taken
+        passed_scene = scene.copied()
+        start_s = time.perf_counter()
+        _, memory = planner.plan(road, passed_scene, memory, rng)
+        durations[k] = time.perf_counter() - start_s
+    return durations
 
 
 class _BrokenContractError(Exception):
-    """What the planner returned is of no form that anything else can be said about."""
+    """The planner returned something that is no plan, so that nothing else can be checked."""
 
 
-def _begin(planner: Planner, road: RoadMap, scene: Scene) -> tuple[Plan, Any]:
-    """Return the first plan of an episode and the memory after it; the memory before is left untouched."""
+def _first_plan(planner: Planner, road: RoadMap, scene: Scene) -> tuple[Plan, Any]:
+    """Return the first plan of an episode and the memory after it."""
     memory = planner.start(road, scene.copied(), np.random.default_rng(_SEED))
     return _unpacked(planner.plan(road, scene.copied(), memory, np.random.default_rng(_SEED)))
 
 
 def _unpacked(answer: object) -> tuple[Plan, Any]:
+    """Return plan and memory out of what a planner returned; the plan's arrays are copied."""
     if not (isinstance(answer, tuple) and len(answer) == 2):
         raise _BrokenContractError(f"plan() returned {type(answer).__name__}, not (plan, memory)")
     if not isinstance(answer[0], Trajectory | Controls):
@@ -124,11 +125,12 @@ def _unpacked(answer: object) -> tuple[Plan, Any]:
         )
     plan, memory = answer
     arrays = {name: getattr(plan, name) for name in plan_arrays(plan)}
-    kept = {name: array.copy() for name, array in arrays.items() if isinstance(array, np.ndarray)}
-    return replace(plan, **kept), memory  # the planner may write its next plan into the same arrays
+    copies = {name: array.copy() for name, array in arrays.items() if isinstance(array, np.ndarray)}
+    return replace(plan, **copies), memory  # the planner may write its next plan into the same arrays
 
 
-def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
+def _plan_problems(plan: Plan, scene: Scene) -> list[Problem]:
+    """Return the breaches of the contract by one plan."""
     problem = form_problem(plan, scene.history.dt_s)
     if problem:
         return [Problem(Part.FORM, problem)]
@@ -140,7 +142,7 @@ def _of_plan(plan: Plan, scene: Scene) -> list[Problem]:
 
 
 def motion_problems(plan: Plan, scene: Scene) -> list[str]:
-    """Return what *plan*, of 64-bit numbers, asks of the target in *scene* that no vehicle can do."""
+    """Return what *plan*, with 64-bit numbers, demands of the target in *scene* that no vehicle can do."""
     return _control_problems(plan) if isinstance(plan, Controls) else _trajectory_problems(plan, scene)
 
 
@@ -156,7 +158,7 @@ def _control_problems(plan: Controls) -> list[str]:
 
 
 def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
-    """Check every step against what a vehicle can do in ``dt_s``, the one from the present state included."""
+    """Check that a vehicle can drive each step, the one from the present state included."""
     row, history = scene.target, scene.history
     xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
     yaw = np.append(history.yaw_rad[row, -1], plan.yaw_rad)
@@ -164,10 +166,10 @@ def _trajectory_problems(plan: Trajectory, scene: Scene) -> list[str]:
     return motion_faults(xy, yaw, speed, plan.dt_s)
 
 
-def same_plan(one: Plan, other: Plan) -> bool:
+def same_plan(first: Plan, second: Plan) -> bool:
     """Return whether two plans are equal to the bit."""
-    if type(one) is not type(other):
+    if type(first) is not type(second):
         return False
-    pairs = ((getattr(one, name), getattr(other, name)) for name in plan_arrays(one))
-    same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-    return same and one.dt_s == other.dt_s
+    pairs = ((getattr(first, name), getattr(second, name)) for name in plan_arrays(first))
+    equal = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return equal and first.dt_s == second.dt_s

@@ -1,4 +1,4 @@
-"""What a tested planner is: something that SUMO drives, or a Python object that plans."""
+"""Define what a target is: a vehicle that SUMO's models drive, or a Python object that plans."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 
 LEFT_OFFSET_M = "leftOffset"
-"""Key of :attr:`SumoDriver.params`: how far to the left of its lane's middle the vehicle drives (m).
+"""Key of :attr:`SumoDriver.params`: lateral offset from the middle of the lane (m), left positive.
 
-SUMO's own ``latAlignment`` counts to the right where traffic keeps left; the episode writes it, as it knows the net.
+The episode translates it into SUMO's ``latAlignment``, which is right positive on nets where traffic keeps left.
 """
 
 
 @runtime_checkable
 class Planner(Protocol):
-    """A planner keeps nothing between calls: its memory and random numbers come in and go out.
+    """A planner keeps no state between calls: its memory and random numbers are passed in and returned.
 
     A class registered as a target is called with keyword options (``Class(**options)``) and must then have
-    these methods. ``memory`` is whatever the planner likes; it is passed back unchanged.
+    these methods. ``memory`` may be any object; it is passed back unchanged.
     """
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
@@ -32,38 +32,38 @@ class Planner(Protocol):
         ...
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Return the plan for the target from now on, at least ``scene.least_plan_s`` long, and the new memory."""
+        """Return the plan for the target, at least ``scene.least_plan_s`` long, and the new memory."""
         ...
 
 
 @runtime_checkable
 class Served(Protocol):
-    """What a planner may have beside the two methods where something outside this process stands behind it."""
+    """Optional further methods of a planner that uses a resource outside this process, such as a server."""
 
     def check(self) -> None:
-        """Look whether it can be used, before anything is run; raises InputError where not."""
+        """Check that the planner can be used, before anything is run; raise an InputError if not."""
         ...
 
     def end(self, memory: Any, end: str, time_s: float, failure: str) -> None:
-        """Take note that an episode is over: how it ended, when, and why where it failed."""
+        """Receive the outcome of an episode: how it ended, when, and the reason if it failed."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds; a later ``start`` gets it anew."""
+        """Release the resource; a later ``start`` acquires it again."""
         ...
 
 
 class ServedPlanner(Planner, Served, Protocol):
-    """A planner that something outside this process stands behind."""
+    """A planner that uses a resource outside this process."""
 
 
 @dataclass(frozen=True)
 class SumoDriver:
-    """A target that SUMO's own models drive; our code only looks.
+    """A target that SUMO's own models drive.
 
     Attributes:
-        car_following: SUMO's name, such as "IDM".
-        lane_change: SUMO's name, such as "SL2015".
+        car_following: SUMO's name of the car-following model, such as "IDM".
+        lane_change: SUMO's name of the lane-change model, such as "SL2015".
         params: further vType attributes, such as {"tau": 1.0}, and :data:`LEFT_OFFSET_M`.
     """
 

@@ -1,4 +1,4 @@
-"""Every target by name."""
+"""Find targets by name."""
 
 from __future__ import annotations
 
@@ -51,34 +51,34 @@ _REMEDY = (
 )
 
 BUILTIN_PLAN_S = 2.0
-"""How long each plan of the built-in planners lasts at least."""
+"""Least duration of the plans of built-in planners (s)."""
 
 
 def plans_briefly(name: str) -> bool:
-    """Return whether the target *name* is a planner of ours: its plans may last no more than :data:`BUILTIN_PLAN_S`."""
+    """Return whether target *name* is a built-in planner: its plans may last only :data:`BUILTIN_PLAN_S`."""
     canonical = TARGETS.canonical(name)
     return canonical in TARGETS.builtins and canonical not in CAR_FOLLOWING
 
 
 def make_target(name: str, options: Mapping[str, Any]) -> Target:
-    """Return the target that *name* stands for, set up with *options*.
+    """Return the target *name* with *options*.
 
     Args:
         name: a built-in or plug-in (case, hyphen and underscore do not matter), ``package.module:Class``,
             ``grpc://HOST:PORT`` or ``exec:COMMAND``.
-        options: see ``docs/planners.md``; keyword arguments of the class for plug-ins. ``defects`` is never one of
-            those: it lists what is planted in the target (``docs/defects.md``).
+        options: see ``docs/planners.md``; for plug-ins, keyword arguments of the class. ``defects`` is not passed
+            to it: it lists the defects planted in the target (``docs/defects.md``).
 
     Raises:
         UnknownNameError: no such target; with the nearest name.
         ConfigError: an option has no such name or value, or the class cannot be imported or is no planner.
     """
     defects = parse_defects(options.get("defects", ()))
-    own = {key: value for key, value in options.items() if key != "defects"}
-    return plant(_sound(name, own), defects, name)
+    sound_options = {key: value for key, value in options.items() if key != "defects"}
+    return plant(_sound_target(name, sound_options), defects, name)
 
 
-def _sound(name: str, options: Mapping[str, Any]) -> Target:
+def _sound_target(name: str, options: Mapping[str, Any]) -> Target:
     """Return the target without defects."""
     if is_remote(name):
         from advdiff_sumo.planners.remote.remote_planner import remote_planner  # late: gRPC takes a while
@@ -100,7 +100,7 @@ def _sound(name: str, options: Mapping[str, Any]) -> Target:
 
 
 def _must_take_arguments(name: str, planner: Planner) -> None:
-    """Refuse a planner whose methods cannot be called as they will be."""
+    """Raise ConfigError if the methods of *planner* cannot be called with the arguments of a planner."""
     for method, arguments in _ARGUMENTS.items():
         try:
             inspect.signature(getattr(planner, method)).bind(*arguments)

@@ -1,4 +1,4 @@
-"""Targets that SUMO drives: its car-following models and what may be set on them."""
+"""Define targets that SUMO drives: its car-following models and their options."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CAR_FOLLOWING = (
 )
 """SUMO's car-following models that drive on roads, as SUMO spells them.
 
-Left out: Rail (trains), CC (platoons, needs Plexe), SmartSK (stands still for ever in SUMO 1.28).
+Left out: Rail (trains), CC (platoons, needs Plexe), SmartSK (never moves in SUMO 1.28).
 """
 
 _MODEL_PARAMS = """
@@ -60,17 +60,17 @@ _LANE_CHANGE_PARAMS = """
     lcStrategicLookahead lcSublane lcTimeToImpatience lcTurnAlignmentDistance
 """
 PARAMS = frozenset((_MODEL_PARAMS + _JUNCTION_PARAMS + _LANE_CHANGE_PARAMS).split())
-"""Further vType attributes of SUMO's schema that change how a vehicle drives, not what it is."""
+"""Further vType attributes of SUMO's schema that affect how a vehicle drives, not its type or looks."""
 
 _DISTRIBUTION = re.compile(r"(normc?)\(([^()]*)\)")
 
 
 class SpeedFactor(NamedTuple):
-    """Desired speed over the limit, as SUMO draws it for each vehicle: normal, cut off at its bounds.
+    """Desired speed over the limit; SUMO draws it for each vehicle from a truncated normal distribution.
 
     Attributes:
-        mean: of the distribution before it is cut off.
-        deviation: its standard deviation; 0: always the mean.
+        mean: mean before truncation.
+        deviation: standard deviation before truncation; 0: always the mean.
         low: smallest value.
         high: largest value.
     """
@@ -82,13 +82,13 @@ class SpeedFactor(NamedTuple):
 
     @classmethod
     def read(cls, given: float | str) -> SpeedFactor:
-        """Return what a number, "norm(mean,deviation)" or "normc(mean,deviation,low,high)" says.
+        """Parse a number, "norm(mean,deviation)" or "normc(mean,deviation,low,high)".
 
         Raises:
-            ValueError: it is none of these, or makes no sense.
+            ValueError: the format is none of these, or the numbers make no sense.
         """
-        found = _DISTRIBUTION.fullmatch(str(given).replace(" ", ""))
-        name, texts = (found[1], found[2].split(",")) if found else ("", [str(given)])
+        match = _DISTRIBUTION.fullmatch(str(given).replace(" ", ""))
+        name, texts = (match[1], match[2].split(",")) if match else ("", [str(given)])
         if len(texts) != {"": 1, "norm": 2, "normc": 4}[name]:
             raise ValueError("expected a number, norm(mean,deviation) or normc(mean,deviation,low,high)")
         try:
@@ -96,25 +96,25 @@ class SpeedFactor(NamedTuple):
         except ValueError:
             raise ValueError("expected a number, or SUMO's text such as normc(1,0.1,0.2,2)") from None
         bounds = {"": [0.0, min(0.2, numbers[0]), max(2.0, numbers[0])], "norm": [0.0, math.inf], "normc": []}
-        read = cls(*numbers, *bounds[name])
-        if not (0.0 <= read.low <= read.mean <= read.high and read.mean > 0.0 <= read.deviation):
+        factor = cls(*numbers, *bounds[name])
+        if not (0.0 <= factor.low <= factor.mean <= factor.high and factor.mean > 0.0 <= factor.deviation):
             raise ValueError("0 <= low <= mean <= high, mean > 0 and deviation >= 0 must hold")
-        return read
+        return factor
 
 
 class SumoDriverOptions(Options):
-    """How a SUMO-driven target drives; what is None keeps SUMO's default for the vehicle's class.
+    """Options of SUMO-driven targets; None keeps SUMO's default for the vehicle class.
 
     Attributes:
-        lane_change: SUMO's lane-change model; SL2015 is the one made for sublanes.
+        lane_change: SUMO's lane-change model; SL2015 is the one for sublanes.
         tau: desired time headway (s).
         accel: strongest acceleration (m/s²).
         decel: comfortable deceleration (m/s²).
         emergencyDecel: strongest deceleration (m/s²), at least ``decel``.
         minGap: gap to the leader at standstill (m).
         sigma: driver imperfection in [0, 1].
-        speedFactor: desired speed over the limit, a number, or SUMO's text such as
-            "normc(1,0.1,0.2,2)", of which each episode draws its own.
+        speedFactor: desired speed over the limit: a number, or a distribution in SUMO's notation such as
+            "normc(1,0.1,0.2,2)", from which each episode draws.
         maxSpeed: top speed (m/s).
         params: further vType attributes of :data:`PARAMS`.
     """
@@ -163,10 +163,10 @@ class SumoDriverOptions(Options):
 
 def _check_deviation(value: float | str) -> None:
     try:
-        fits = 0.0 <= float(value) < math.inf
+        is_valid = 0.0 <= float(value) < math.inf
     except ValueError:
-        fits = False
-    if not fits:
+        is_valid = False
+    if not is_valid:
         raise ValueError(f"speedDev = {value!r} is no number of at least 0")
 
 

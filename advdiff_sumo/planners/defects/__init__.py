@@ -1,4 +1,4 @@
-"""Planted defects: one fault each in an otherwise sound planner, to learn what a test can see."""
+"""Planted defects: one error each in an otherwise sound planner, to measure what a test can detect."""
 
 from advdiff_sumo.planners.defects.catalogue import DEFECTS, SEVERITIES, DefectKind
 from advdiff_sumo.planners.defects.defect_spec import Defect, parse_defect, parse_defects, plant

@@ -1,4 +1,4 @@
-"""Faults behind the planner: brakes that are weak or slow, and plans that are not made anew."""
+"""Faults behind the planner: weak or slow brakes, and plans that are not replaced in time."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planners.defects.planted_fault import PlantedFault
 
 _Bound = Callable[[float, float], float]
-"""Deceleration that the brakes give, out of the one that was reached (m/s²) and the time since (s)."""
+"""(Present deceleration in m/s², time step in s) → largest deceleration after the step in m/s²."""
 
 
 @dataclass(frozen=True)
 class _Braking:
-    """What the brakes did in the last plan.
+    """Braking in the last plan.
 
     Attributes:
-        at_s: when it began.
-        dt_s: spacing.
+        at_s: time at which the plan began.
+        dt_s: time step.
         brake_mps2: (T,) decelerations, 0 or more, each reached at the end of its interval.
-        before_mps2: deceleration when it began.
+        before_mps2: deceleration at the beginning of the plan.
     """
 
     at_s: float
@@ -38,100 +38,100 @@ class _Braking:
     before_mps2: float
 
     def reached(self, time_s: float, rise_mps3: float) -> float:
-        """Return the deceleration at *time_s*, also amid an interval, when it builds up by *rise_mps3*."""
-        since = time_s - self.at_s
-        step = min(math.ceil(since / self.dt_s - 1e-6), len(self.brake_mps2)) - 1
+        """Return the deceleration at *time_s*, also within an interval, if it rises by at most *rise_mps3*."""
+        elapsed_s = time_s - self.at_s
+        step = min(math.ceil(elapsed_s / self.dt_s - 1e-6), len(self.brake_mps2)) - 1
         planned = float(self.brake_mps2[step]) if step >= 0 else self.before_mps2
-        return min(planned, self.before_mps2 + rise_mps3 * since + 1e-9)
+        return min(planned, self.before_mps2 + rise_mps3 * elapsed_s + 1e-9)
 
 
 class WeakBrakes(PlantedFault):
-    """The brakes give ``value`` m/s² at most."""
+    """The brakes reach at most ``value`` m/s²."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
-        """Return the plan with no harder braking."""
+        """Return the plan with weaker braking."""
         return _braked(plan, scene, 0.0, lambda *_: self.value)[0], memory
 
 
 class SlowBrakes(PlantedFault):
-    """The brakes need ``value`` seconds to build up to the strongest braking, evenly."""
+    """The brakes need ``value`` seconds to reach the strongest braking, at a constant rate."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
         """Return the plan with braking that builds up."""
-        rise = Limits().brake_mps2 / self.value
-        reached = memory.reached(scene.time_s, rise) if isinstance(memory, _Braking) else 0.0
-        slow, brake = _braked(plan, scene, reached, lambda before, dt_s: before + rise * dt_s)
-        return slow, _Braking(scene.time_s, plan.dt_s, brake, reached)
+        rise_mps3 = Limits().brake_mps2 / self.value
+        reached = memory.reached(scene.time_s, rise_mps3) if isinstance(memory, _Braking) else 0.0
+        braked, brake = _braked(plan, scene, reached, lambda before, dt_s: before + rise_mps3 * dt_s)
+        return braked, _Braking(scene.time_s, plan.dt_s, brake, reached)
 
 
 @dataclass(frozen=True)
-class _Made:
-    """A plan and when it was made."""
+class _StoredPlan:
+    """A plan and the time at which it was made."""
 
     plan: Plan
     at_s: float
 
 
 class StuckReplanning(PlantedFault):
-    """A plan is made only every ``value`` seconds and driven on in between; beyond its end at its last speed."""
+    """A new plan is made only every ``value`` seconds; in between, the last plan is continued."""
 
     def held_plan(self, scene: Scene, memory: Any) -> Plan | None:
-        """Return what is left of the last plan, as long as it was."""
-        if not isinstance(memory, _Made) or scene.time_s - memory.at_s > self.value - 1e-6:
+        """Return the last plan from the present time on; None if a new one is due."""
+        if not isinstance(memory, _StoredPlan) or scene.time_s - memory.at_s > self.value - 1e-6:
             return None
-        return _rest(memory.plan, scene.time_s - memory.at_s)
+        return _continued(memory.plan, scene.time_s - memory.at_s)
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
-        """Keep the plan."""
+        """Store the plan."""
         del memory
-        return plan, _Made(plan, scene.time_s)
+        return plan, _StoredPlan(plan, scene.time_s)
 
 
 def _braked(plan: Plan, scene: Scene, reached: float, bound: _Bound) -> tuple[Plan, FloatArray]:
-    """Return *plan* with decelerations (T,) within *bound*, and these."""
+    """Return *plan* with its deceleration limited by *bound*, and these decelerations (T,)."""
     if isinstance(plan, Controls):
         accel, brake = plan.accel_mps2.copy(), np.zeros(len(plan.accel_mps2))
-        for k, wish in enumerate(plan.accel_mps2.tolist()):
-            reached = brake[k] = min(max(-wish, 0.0), bound(reached, plan.dt_s))
-            accel[k] = max(wish, -reached)
+        for k, planned in enumerate(plan.accel_mps2.tolist()):
+            reached = brake[k] = min(max(-planned, 0.0), bound(reached, plan.dt_s))
+            accel[k] = max(planned, -reached)
         return replace(plan, accel_mps2=accel), brake
-    pace = max(float(scene.history.speed_mps[scene.target, -1]), 0.0)
+    speed_now = max(float(scene.history.speed_mps[scene.target, -1]), 0.0)
     speed, brake = plan.speed_mps.copy(), np.zeros(len(plan.speed_mps))
-    for k, wish in enumerate(plan.speed_mps.tolist()):
-        wanted = max((pace - wish) / plan.dt_s, 0.0)
-        reached = brake[k] = min(wanted, bound(reached, plan.dt_s))
-        speed[k] = pace = wish if reached >= wanted else pace - reached * plan.dt_s
-    faster = speed - plan.speed_mps
-    if not faster.any():
+    for k, planned in enumerate(plan.speed_mps.tolist()):
+        planned_brake = max((speed_now - planned) / plan.dt_s, 0.0)
+        reached = brake[k] = min(planned_brake, bound(reached, plan.dt_s))
+        speed[k] = speed_now = planned if reached >= planned_brake else speed_now - reached * plan.dt_s
+    excess = speed - plan.speed_mps
+    if not excess.any():
         return plan, brake
-    further = np.cumsum(0.5 * (faster + np.append(0.0, faster[:-1]))) * plan.dt_s
-    return _further_on(plan, scene, speed, further), brake
+    extra_m = np.cumsum(0.5 * (excess + np.append(0.0, excess[:-1]))) * plan.dt_s
+    return _with_speeds(plan, scene, speed, extra_m), brake
 
 
-def _further_on(plan: Trajectory, scene: Scene, speed: FloatArray, further_m: FloatArray) -> Trajectory:
-    """Return *plan* with other speeds, *further_m* (T,) on along its way; straight on beyond its end."""
+def _with_speeds(plan: Trajectory, scene: Scene, speed: FloatArray, extra_m: FloatArray) -> Trajectory:
+    """Return *plan* with new speeds and *extra_m* (T,) farther along its path; straight on beyond its end."""
     row, history = scene.target, scene.history
     xy = np.concatenate((history.xy_m[row, -1:], plan.xy_m))
     yaw = np.unwrap(np.append(history.yaw_rad[row, -1], plan.yaw_rad))
     s = stations_m(xy)
-    wish = s[1:] + further_m
-    on = np.column_stack([np.interp(wish, s, xy[:, k]) for k in (0, 1)])
-    on += np.maximum(wish - s[-1], 0.0)[:, None] * unit(np.asarray(yaw[-1]))
-    return Trajectory(on, np.interp(wish, s, yaw), speed, plan.dt_s)
+    new_s = s[1:] + extra_m
+    new_xy = np.column_stack([np.interp(new_s, s, xy[:, k]) for k in (0, 1)])
+    new_xy += np.maximum(new_s - s[-1], 0.0)[:, None] * unit(np.asarray(yaw[-1]))
+    return Trajectory(new_xy, np.interp(new_s, s, yaw), speed, plan.dt_s)
 
 
-def _rest(plan: Plan, after_s: float) -> Plan:
-    """Return *plan* from *after_s* on, equally long: the last inputs are held, or the last speed and heading."""
+def _continued(plan: Plan, after_s: float) -> Plan:
+    """Return *plan* from *after_s* on, as long as before; beyond its end the last input, or speed and heading, hold."""
     steps = len(plan.accel_mps2) if isinstance(plan, Controls) else len(plan.speed_mps)
     if isinstance(plan, Controls):
-        held = np.minimum(
+        index = np.minimum(
             ((after_s + plan.dt_s * np.arange(steps)) / plan.dt_s + 1e-6).astype(np.int64), steps - 1
         )
-        return replace(plan, accel_mps2=plan.accel_mps2[held], steer_rad=plan.steer_rad[held])
-    known = plan.dt_s * np.arange(1, steps + 1)
-    then = after_s + known
-    xy = np.column_stack([np.interp(then, known, plan.xy_m[:, k]) for k in (0, 1)])
-    yaw = np.interp(then, known, np.unwrap(plan.yaw_rad))
-    speed = np.interp(then, known, plan.speed_mps)
-    gone = np.maximum(then - known[-1], 0.0) * speed
-    return Trajectory(xy + gone[:, None] * unit(yaw), yaw, speed, plan.dt_s)
+        return replace(plan, accel_mps2=plan.accel_mps2[index], steer_rad=plan.steer_rad[index])
+    plan_s = plan.dt_s * np.arange(1, steps + 1)
+    times_s = after_s + plan_s
+    xy = np.column_stack([np.interp(times_s, plan_s, plan.xy_m[:, k]) for k in (0, 1)])
+    yaw = np.interp(times_s, plan_s, np.unwrap(plan.yaw_rad))
+    speed = np.interp(times_s, plan_s, plan.speed_mps)
+    beyond_m = np.maximum(times_s - plan_s[-1], 0.0) * speed
+    return Trajectory(xy + beyond_m[:, None] * unit(yaw), yaw, speed, plan.dt_s)

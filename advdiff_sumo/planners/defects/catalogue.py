@@ -1,4 +1,4 @@
-"""Every defect: what it stands for, its parameter with three severities, and its form for SUMO's driver models."""
+"""List all defects: what each stands for, its parameter and severities, and its form in SUMO's driver models."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class DefectKind:
     """One entry of the catalogue.
 
     Attributes:
-        name: as ``--defect`` takes it.
-        stands_for: what in a real stack fails like this.
-        parameter: what its value is.
+        name: name that ``--defect`` takes.
+        stands_for: what fails like this in a real stack.
+        parameter: meaning of the value.
         unit: of the value.
-        values: at the three severities, the weakest first.
-        bounds: smallest and largest value that makes sense.
-        fault: makes the fault of a value.
-        sumo: vType attributes of a value, ``tau`` less the target's own; None where SUMO has no form of it.
-        sumo_note: in words: the attributes, or why there are none.
+        values: values of the three severities, the weakest first.
+        bounds: smallest and largest value allowed.
+        fault: returns the fault of a value.
+        sumo: returns the vType attributes of a value (``tau``: change of the target's own); None if SUMO has none.
+        sumo_note: text: the attributes, or why there are none.
     """
 
     name: str
@@ -284,7 +284,7 @@ DEFECTS: Mapping[str, DefectKind] = {kind.name: kind for kind in _KINDS}
 
 
 def catalogue_table() -> str:
-    """Return the catalogue as a Markdown table, for the page, which gives the common reason for *–* once."""
+    """Return the catalogue as a Markdown table; *–* stands for the reason that most defects share."""
     lines = [
         "| defect | stands for | parameter | weak, middle, strong | SUMO's driver models |",
         "|---|---|---|---|---|",

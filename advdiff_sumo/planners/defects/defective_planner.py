@@ -1,4 +1,4 @@
-"""A planner with planted faults: what it is given and what it returns pass through them."""
+"""Plant faults in a planner: the scenes that it gets and the plans that it returns pass through them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _SEED_BITS = 62
 
 @dataclass(frozen=True)
 class _Memory:
-    """What a defective planner remembers.
+    """Memory of a defective planner.
 
     Attributes:
-        planner: the sound planner's own memory.
-        seeds: of each fault.
-        perceived: each fault's memory of what was given.
-        acted: each fault's memory of what was returned.
+        planner: memory of the sound planner.
+        seeds: seed of each fault.
+        perceived: memory of each fault for scenes.
+        acted: memory of each fault for plans.
     """
 
     planner: Any
@@ -38,14 +38,14 @@ class _Memory:
 
 @dataclass(frozen=True)
 class DefectivePlanner:
-    """Any planner, ours or a user's, with faults between it and the world.
+    """Any planner, built-in or a user's, with planted faults.
 
-    What the planner is given passes through the faults in their order, what it returns in the opposite one. Faults
-    draw from a child of the target's generator, so that the planner draws the same numbers as without them.
+    The scene passes through the faults in their order, the plan in the opposite order. The faults draw from a child
+    of the target's generator, so that the planner draws the same numbers as without them.
 
     Attributes:
-        planner: the sound one.
-        faults: what is planted.
+        planner: the sound planner.
+        faults: the planted faults.
     """
 
     planner: Planner
@@ -55,34 +55,35 @@ class DefectivePlanner:
         """Return the memory of an episode that begins in *scene*."""
         root = SeedTree(int(rng.spawn(1)[0].integers(1 << _SEED_BITS)))
         seeds = tuple(root.child(type(fault).__name__) for fault in self.faults)
-        nothing = (None,) * len(self.faults)
-        scenes, _ = self._perceive(road, scene, seeds, nothing)
-        return _Memory(self.planner.start(road, scenes[-1].copied(), rng), seeds, nothing, nothing)
+        no_memory = (None,) * len(self.faults)
+        scenes, _ = self._perceive(road, scene, seeds, no_memory)
+        return _Memory(self.planner.start(road, scenes[-1].copied(), rng), seeds, no_memory, no_memory)
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: _Memory, rng: np.random.Generator
     ) -> tuple[Plan, _Memory]:
-        """Return what is driven, and the new memory."""
+        """Return the plan to drive, and the new memory."""
         scenes, perceived = self._perceive(road, scene, memory.seeds, memory.perceived)
         memory = replace(memory, perceived=perceived)
         for k, (fault, acted) in enumerate(zip(self.faults, memory.acted, strict=True)):
             held = fault.held_plan(scene, acted)
             if held is not None:
-                return self._acted_on(held, scenes, memory, k)
-        planned: Any = self.planner.plan(road, scenes[-1].copied(), memory.planner, rng)
-        if not (isinstance(planned, tuple) and len(planned) == 2):
-            return planned  # type: ignore[no-any-return] # no plan: the episode refuses it and says so
-        plan, own = planned
+                return self._after_faults(held, scenes, memory, k)
+        answer: Any = self.planner.plan(road, scenes[-1].copied(), memory.planner, rng)
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            return answer  # type: ignore[no-any-return] # no plan; the episode refuses it
+        plan, planner_memory = answer
         if not can_be_driven(plan, scene.least_plan_s):
-            return plan, replace(
-                memory, planner=own
-            )  # the episode refuses it, in the words that it has without faults
-        return self._acted_on(in_float64(plan), scenes, replace(memory, planner=own), len(self.faults))
+            # the episode refuses the plan, with the same message as without faults
+            return plan, replace(memory, planner=planner_memory)
+        return self._after_faults(
+            in_float64(plan), scenes, replace(memory, planner=planner_memory), len(self.faults)
+        )
 
-    def _acted_on(
+    def _after_faults(
         self, plan: Plan, scenes: Sequence[Scene], memory: _Memory, count: int
     ) -> tuple[Plan, _Memory]:
-        """Return what the first *count* faults, the last of them first, make of *plan*, and their memories."""
+        """Return *plan* after the first *count* faults, in reverse order, and the new memory."""
         acted = list(memory.acted)
         for k in reversed(range(count)):
             plan, acted[k] = self.faults[k].act(plan, scenes[k], memory.acted[k])
@@ -91,22 +92,22 @@ class DefectivePlanner:
     def _perceive(
         self, road: RoadMap, scene: Scene, seeds: tuple[SeedTree, ...], memories: tuple[Any, ...]
     ) -> tuple[list[Scene], tuple[Any, ...]]:
-        """Return what each fault is given, what the planner is given last, and the faults' new memories."""
-        scenes, after = [scene], []
+        """Return the scene before each fault and after the last one, and the faults' new memories."""
+        scenes, new_memories = [scene], []
         for fault, seed, memory in zip(self.faults, seeds, memories, strict=True):
-            given, kept = fault.perceive(road, scenes[-1], memory, seed)
-            scenes.append(given)
-            after.append(kept)
-        return scenes, tuple(after)
+            perceived, new_memory = fault.perceive(road, scenes[-1], memory, seed)
+            scenes.append(perceived)
+            new_memories.append(new_memory)
+        return scenes, tuple(new_memories)
 
 
 class ServedDefectivePlanner(DefectivePlanner):
-    """The same around a planner that something outside this process stands behind."""
+    """The same for a planner that uses a resource outside this process."""
 
     planner: ServedPlanner
 
     def check(self) -> None:
-        """Look whether the planner can be used; raises InputError where not."""
+        """Check that the planner can be used; raise an InputError if not."""
         self.planner.check()
 
     def end(self, memory: _Memory, end: str, time_s: float, failure: str) -> None:
@@ -114,7 +115,7 @@ class ServedDefectivePlanner(DefectivePlanner):
         self.planner.end(memory.planner, end, time_s, failure)
 
     def close(self) -> None:
-        """Let the planner let go of what it holds."""
+        """Let the planner release its resource."""
         self.planner.close()
 
 

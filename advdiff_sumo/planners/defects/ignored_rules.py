@@ -1,4 +1,4 @@
-"""Faults of understanding: red lights, the right of way, and who is changing into the target's lane."""
+"""Faults of understanding: red lights, the right of way, and cut-ins."""
 
 from __future__ import annotations
 
@@ -18,54 +18,54 @@ from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, ot
 
 
 class IgnoredSignals(PlantedFault):
-    """On the target's own way red is taken for green for its first ``value`` seconds, yellow always.
+    """Signals on the target's route: red counts as green for its first ``value`` seconds, yellow always.
 
-    Those who cross it have red then, as they would have if its own light were green.
+    Crossing traffic then seems to have red, as it would if the target's light were green.
     """
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return the scene with the target's own signals green; a red that is there at first begins then."""
+        """Return the scene with these signals green; a light that is red at first counts from then."""
         del seed
-        since: dict[tuple[str, int], float] = {}
-        shown = scene.signals
+        red_since_s: dict[tuple[str, int], float] = {}
+        signals = scene.signals
         for link in own_links(road, scene):
             if link.tls_id is None or link.tls_index is None:
                 continue
             letter, key = link.signal(scene.signals), (link.tls_id, link.tls_index)
             if letter in RED:
-                since[key] = (memory or {}).get(key, scene.time_s)
-            early = key in since and scene.time_s - since[key] < self.value
-            if early or letter in YELLOW:
-                shown = _as_if_green(road, link, shown)
-        return replace(scene, signals=shown), since
+                red_since_s[key] = (memory or {}).get(key, scene.time_s)
+            is_ignored = key in red_since_s and scene.time_s - red_since_s[key] < self.value
+            if is_ignored or letter in YELLOW:
+                signals = _as_if_green(road, link, signals)
+        return replace(scene, signals=signals), red_since_s
 
 
 class IgnoredPriority(PlantedFault):
-    """A share ``value`` of those who have the right of way at the next junction is not seen until they are past it."""
+    """A share ``value`` of the vehicles with the right of way at the next junction is not seen before they leave it."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return the scene without them."""
-        before: set[tuple[str, int]] = set()
+        """Return the scene without these vehicles."""
+        foe_requests: set[tuple[str, int]] = set()
         ahead = own_links(road, scene)
         for link in (x for x in ahead if x.junction_id == ahead[0].junction_id):
-            before |= {(link.junction_id, request) for request in road.yields_to(link)}
-        if not before:
+            foe_requests |= {(link.junction_id, request) for request in road.yields_to(link)}
+        if not foe_requests:
             return scene, memory
         history = scene.history
         lanes, *_ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
-        foes = [lane is not None and bool(before & _requests_from(road, lane)) for lane in lanes]
-        drawn = [chance(seed, "priority", name) < self.value for name in history.ids]
-        return scene.without(np.array(foes) & np.array(drawn) & others_of(scene)), memory
+        foes = [lane is not None and bool(foe_requests & _requests_from(road, lane)) for lane in lanes]
+        is_drawn = [chance(seed, "priority", agent_id) < self.value for agent_id in history.ids]
+        return scene.without(np.array(foes) & np.array(is_drawn) & others_of(scene)), memory
 
 
 @dataclass(frozen=True)
 class _Change:
-    """The lane that somebody is in, and its last change of lanes.
+    """The lane of a road user, and its last lane change.
 
     Attributes:
-        lane: the lane now.
-        came_from: +1 from the left, −1 from the right, 0 no change yet.
-        at_s: when.
+        lane: its present lane.
+        came_from: side of the previous lane: +1 left, −1 right, 0 for no change yet.
+        at_s: time of the change.
     """
 
     lane: str
@@ -74,48 +74,49 @@ class _Change:
 
 
 class IgnoredCutIns(PlantedFault):
-    """Others seem to keep their lane; that one has changed into another one is noticed ``value`` seconds late."""
+    """Others seem to keep their lane; a lane change is noticed only ``value`` seconds after it is complete."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return others in the middle of the lane that they are in, or were in until lately.
+        """Return *scene* with the others in the middle of their present lane, or of their previous one until lately.
 
-        People on foot, and who is on a junction or off the lanes, are where they are; what is known of them stays.
+        Pedestrians, and road users on a junction or off the lanes, stay where they are; their memory is kept.
         """
         del seed
-        history, known = scene.history, dict[str, _Change](memory or {})
-        now: dict[str, _Change] = {}
+        history, previous = scene.history, dict[str, _Change](memory or {})
+        changes: dict[str, _Change] = {}
         lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         xy, yaw = history.xy_m.copy(), history.yaw_rad.copy()
         rows = others_of(scene) & (history.classes != AgentClass.PEDESTRIAN)
-        for row, name in enumerate(history.ids):
+        for row, agent_id in enumerate(history.ids):
             lane = lanes[row]
-            if lane is None or not rows[row] or _keeps_place(road.lanes[lane], float(d[row])):
+            if lane is None or not rows[row] or _off_lane(road.lanes[lane], float(d[row])):
                 rows[row] = False
-                now |= {name: known[name]} if name in known else {}
+                changes |= {agent_id: previous[agent_id]} if agent_id in previous else {}
                 continue
-            change = _changed(road, known.get(name), lane, scene.time_s)
-            now[name] = change
-            aside = 0.0
+            change = _after_step(road, previous.get(agent_id), lane, scene.time_s)
+            changes[agent_id] = change
+            offset_m = 0.0
             if change.came_from and scene.time_s - change.at_s < self.value:
-                aside = change.came_from * road.lanes[lane].width_m
-            place, heading = road.to_world(lane, float(s[row]), aside)
-            xy[row] += place - history.xy_m[row, -1]
+                offset_m = change.came_from * road.lanes[lane].width_m
+            centre, heading = road.to_world(lane, float(s[row]), offset_m)
+            xy[row] += centre - history.xy_m[row, -1]
             yaw[row, -1] = float(heading)
-        return with_states(scene, rows, xy, yaw), now
+        return with_states(scene, rows, xy, yaw), changes
 
 
-def _keeps_place(lane: Lane, beside_m: float) -> bool:
-    """Return whether somebody *beside_m* from the middle of *lane* is on a junction or beside the lane."""
+def _off_lane(lane: Lane, beside_m: float) -> bool:
+    """Return whether a road user *beside_m* from the middle of *lane* is on a junction or beside the lane."""
     return lane.is_internal or abs(beside_m) > lane.width_m
 
 
 def own_links(road: RoadMap, scene: Scene) -> tuple[Link, ...]:
-    """Return the links on the target's route, the nearest first; none without a route."""
+    """Return the links on the target's route, the nearest first; () without a route."""
     return _links_of(road, scene.routes[scene.target])
 
 
 @lru_cache(maxsize=256)
 def _links_of(road: RoadMap, route: tuple[str, ...]) -> tuple[Link, ...]:
+    """Return the links between the edges of *route*."""
     return tuple(
         link
         for before, after in pairwise(route)
@@ -127,7 +128,7 @@ def _links_of(road: RoadMap, route: tuple[str, ...]) -> tuple[Link, ...]:
 
 
 def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mapping[str, str]:
-    """Return *signals* with green for *link* and red for whom it crosses or meets."""
+    """Return *signals* with green for *link* and red for all links that conflict with it."""
     foes = road.foes_of(link)
     letters = list(signals[link.tls_id or ""])
     for other in road.links.values():
@@ -140,13 +141,14 @@ def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mappi
 
 
 def _requests_from(road: RoadMap, lane: str) -> set[tuple[str, int]]:
-    """Return the rows of right-of-way matrices that somebody in *lane* takes or may take next."""
+    """Return (junction, request index) of the links that a road user in *lane* takes or may take next."""
     on_junction = road.link_over.get(lane)
     links = (on_junction,) if on_junction is not None else road.lanes[lane].successors
     return {(link.junction_id, link.request_index) for link in links}
 
 
-def _changed(road: RoadMap, before: _Change | None, lane: str, time_s: float) -> _Change:
+def _after_step(road: RoadMap, before: _Change | None, lane: str, time_s: float) -> _Change:
+    """Return the record of a road user that is now in *lane*."""
     if before is None:
         return _Change(lane, 0, time_s)
     if lane == before.lane:

@@ -1,4 +1,4 @@
-"""Faults of measurement and prediction: the others' speed and place, and the target's own place."""
+"""Faults of measurement and prediction: the others' speed and position, and the target's own position."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from advdiff_sumo.planners.defects.planted_fault import (
     with_states,
 )
 
-_CORRIDOR_M = 2.5
-_SAME_WAY_RAD = np.pi / 3.0
+_CORRIDOR_M = 2.5  # largest lateral distance of a leader's centre
+_SAME_HEADING_RAD = np.pi / 3.0  # largest difference of its heading
 
 
 class Misjudgement(PlantedFault, ABC):
     """A fault that changes the states of road users."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return *scene* as it is believed to be."""
+        """Return *scene* as the planner believes it to be."""
         del road, seed
         return self.believed(scene), memory
 
@@ -40,63 +40,64 @@ class Misjudgement(PlantedFault, ABC):
 
 
 class FrozenPrediction(Misjudgement):
-    """A share ``value`` of the others' motion is left out, past and speed: with 1 they seem to stand."""
+    """A share ``value`` of the others' motion is left out of history and speed; with 1 they seem to stand."""
 
     def believed(self, scene: Scene) -> Scene:
-        """Return the others where they are, slower."""
-        history, kept = scene.history, 1.0 - self.value
-        now = history.xy_m[:, -1:]
-        xy = now + kept * (history.xy_m - now)
-        return with_states(scene, others_of(scene), xy, None, kept * history.speed_mps)
+        """Return *scene* with the others at their positions, but slower."""
+        history, share = scene.history, 1.0 - self.value
+        present = history.xy_m[:, -1:]
+        xy = present + share * (history.xy_m - present)
+        return with_states(scene, others_of(scene), xy, None, share * history.speed_mps)
 
 
 class SpeedBias(Misjudgement):
-    """The others seem ``value`` metres a second faster than they are, along their heading."""
+    """The others seem ``value`` m/s faster along their heading than they are."""
 
     def believed(self, scene: Scene) -> Scene:
-        """Return the others where they are, faster."""
+        """Return *scene* with the others at their positions, but faster."""
         history = scene.history
-        back = self.value * ages_s(history)[None, :, None] * unit(history.yaw_rad)
+        shift = self.value * ages_s(history)[None, :, None] * unit(history.yaw_rad)
         speed = history.speed_mps + self.value
-        return with_states(scene, others_of(scene), history.xy_m - back, None, speed)
+        return with_states(scene, others_of(scene), history.xy_m - shift, None, speed)
 
 
 class PositionBias(Misjudgement):
     """The others seem ``value`` metres farther to the target's left than they are."""
 
     def believed(self, scene: Scene) -> Scene:
-        """Return the others displaced."""
+        """Return *scene* with the others displaced."""
         xy = scene.history.xy_m + self.value * _left(scene)
         return with_states(scene, others_of(scene), xy)
 
 
 class LocalisationOffset(Misjudgement):
-    """The target believes to be ``value`` metres to the left of where it is; what it senses moves with it."""
+    """The target believes to be ``value`` metres to the left of its position; what it senses moves with it."""
 
     def believed(self, scene: Scene) -> Scene:
-        """Return everybody displaced on the map."""
+        """Return *scene* with all road users displaced on the map."""
         history = scene.history
         moved = replace(history, xy_m=history.xy_m + self.value * _left(scene))
         return replace(scene, history=moved)
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
-        """Return the plan from where the target really is."""
+        """Return the plan moved back to the target's true position."""
         if isinstance(plan, Trajectory):
             return replace(plan, xy_m=plan.xy_m - self.value * _left(scene)), memory
         return plan, memory
 
 
 class ShortHeadway(Misjudgement):
-    """Who drives ahead in the target's corridor seems farther by the way that it drives in ``value`` seconds."""
+    """Leaders in the target's corridor seem farther ahead, by the distance that the target drives in ``value`` s."""
 
     def believed(self, scene: Scene) -> Scene:
-        """Return leaders displaced along their heading."""
+        """Return *scene* with leaders displaced along their headings."""
         history = scene.history
         place, heading = seen_from_target(scene)
-        leads = (place[:, 0] > 0.0) & (np.abs(place[:, 1]) < _CORRIDOR_M) & (np.abs(heading) < _SAME_WAY_RAD)
-        way = self.value * max(float(history.speed_mps[scene.target, -1]), 0.0)
-        xy = history.xy_m + way * unit(history.yaw_rad[:, -1:])
-        return with_states(scene, others_of(scene) & leads, xy)
+        in_corridor = (place[:, 0] > 0.0) & (np.abs(place[:, 1]) < _CORRIDOR_M)
+        is_leader = in_corridor & (np.abs(heading) < _SAME_HEADING_RAD)
+        shift_m = self.value * max(float(history.speed_mps[scene.target, -1]), 0.0)
+        xy = history.xy_m + shift_m * unit(history.yaw_rad[:, -1:])
+        return with_states(scene, others_of(scene) & is_leader, xy)
 
 
 def _left(scene: Scene) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Faults of the sensors: who is not seen at all."""
+"""Faults of the sensors: road users that are not seen at all."""
 
 from __future__ import annotations
 
@@ -23,92 +23,92 @@ class Blindness(PlantedFault, ABC):
     """A fault that hides some of the others."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return *scene* without those who are not seen."""
+        """Return *scene* without the hidden road users."""
         del road, seed
         return scene.without(self.hidden(scene) & others_of(scene)), memory
 
     @abstractmethod
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return (A,) who is not seen."""
+        """Return (A,) True for road users that are not seen."""
 
 
 class ShortRange(Blindness):
-    """Nobody is seen whose centre is farther than ``value`` metres."""
+    """Road users whose centre is farther away than ``value`` metres are not seen."""
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who is too far away."""
+        """Return (A,) True for road users that are too far away."""
         return np.asarray(_distance_m(scene) > self.value)
 
 
 class TunnelView(Blindness):
-    """Nobody is seen whose centre is outside a field of view of ``value`` degrees ahead."""
+    """Road users whose centre is outside a field of view of ``value`` degrees ahead are not seen."""
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who is outside the field of view."""
-        place, _ = seen_from_target(scene)
-        return np.asarray(np.abs(np.arctan2(place[:, 1], place[:, 0])) > 0.5 * np.deg2rad(self.value))
+        """Return (A,) True for road users outside the field of view."""
+        xy_m, _ = seen_from_target(scene)
+        return np.asarray(np.abs(np.arctan2(xy_m[:, 1], xy_m[:, 0])) > 0.5 * np.deg2rad(self.value))
 
 
 class Flicker(PlantedFault):
-    """Each of the others is missed in a share ``value`` of the plans, each time anew."""
+    """Each other road user is missed in a share ``value`` of the plans, drawn anew for each plan."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return *scene* without those who are missed now."""
+        """Return *scene* without the road users missed at this instant."""
         del road
-        now = f"{scene.time_s:.3f}"
-        missed = np.array([chance(seed, name, now) < self.value for name in scene.history.ids])
+        instant = f"{scene.time_s:.3f}"
+        missed = np.array([chance(seed, agent_id, instant) < self.value for agent_id in scene.history.ids])
         return scene.without(missed & others_of(scene)), memory
 
 
 class Dropout(PlantedFault):
-    """Each of the others is lost for ``value`` seconds in every six, each at a phase of its own."""
+    """Each other road user is lost for ``value`` seconds in every six, with a phase of its own."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return *scene* without those who are lost now."""
+        """Return *scene* without the road users lost at this instant."""
         del road
-        phase = np.array([chance(seed, name) for name in scene.history.ids])
+        phase = np.array([chance(seed, agent_id) for agent_id in scene.history.ids])
         lost = (scene.time_s + DROPOUT_PERIOD_S * phase) % DROPOUT_PERIOD_S < self.value
         return scene.without(lost & others_of(scene)), memory
 
 
 class BlindToCrossing(Blindness):
-    """Nobody is seen who heads across the target's way, within ``value`` degrees of a right angle."""
+    """Road users that head across the target's heading, within ``value`` degrees of a right angle, are not seen."""
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who crosses."""
+        """Return (A,) True for crossing road users."""
         _, heading = seen_from_target(scene)
         return np.asarray(np.abs(np.abs(heading) - 0.5 * np.pi) <= np.deg2rad(self.value))
 
 
 class BlindToOncoming(Blindness):
-    """Nobody is seen who comes towards the target, within ``value`` degrees of the opposite heading."""
+    """Road users with a heading within ``value`` degrees of opposite to the target's are not seen."""
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who comes towards it."""
+        """Return (A,) True for oncoming road users."""
         _, heading = seen_from_target(scene)
         return np.asarray(np.pi - np.abs(heading) <= np.deg2rad(self.value))
 
 
 class BlindToStanding(Blindness):
-    """Nobody is seen who moves more slowly than ``value`` metres a second, as a radar drops what stands."""
+    """Road users slower than ``value`` m/s are not seen, as a radar drops standing objects."""
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who stands, or nearly."""
+        """Return (A,) True for road users that stand or nearly stand."""
         return np.asarray(np.abs(scene.history.speed_mps[:, -1]) < self.value)
 
 
 @dataclass(frozen=True)
 class BlindToClasses(Blindness):
-    """Road users of some classes are not recognised farther away than ``value`` metres.
+    """Road users of some classes are not seen farther away than ``value`` metres.
 
     Attributes:
-        classes: which.
+        classes: the classes.
     """
 
     classes: tuple[AgentClass, ...] = ()
 
     def hidden(self, scene: Scene) -> BoolArray:
-        """Return who is of these classes and too far away."""
+        """Return (A,) True for road users of these classes that are too far away."""
         return np.isin(scene.history.classes, self.classes) & (_distance_m(scene) > self.value)
 
 
@@ -117,5 +117,6 @@ blind_to_unprotected = partial(BlindToClasses, classes=_UNPROTECTED)
 
 
 def _distance_m(scene: Scene) -> FloatArray:
-    place, _ = seen_from_target(scene)
-    return np.asarray(np.hypot(place[:, 0], place[:, 1]))
+    """Return (A,) the distance of each centre from the target's."""
+    xy_m, _ = seen_from_target(scene)
+    return np.asarray(np.hypot(xy_m[:, 0], xy_m[:, 1]))

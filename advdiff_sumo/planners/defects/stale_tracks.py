@@ -1,4 +1,4 @@
-"""Faults of tracking in time: the others as they were, or as they would be had they not braked or turned since."""
+"""Faults of tracking: the others as they were, or moved on with an old velocity."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class _Past:
     """What was seen so far.
 
     Attributes:
-        states: name → (N, 5) time (s), x, y (m), continuous yaw (rad), speed (m/s), rising in time.
-        signals: (time, id → state string), rising in time.
+        states: id → (N, 5) time (s), x, y (m), unwrapped yaw (rad), speed (m/s), in order of time.
+        signals: (time, signal id → state string), in order of time.
     """
 
     states: Mapping[str, FloatArray]
@@ -32,19 +32,19 @@ class _Past:
 
 
 class Late(PlantedFault):
-    """The others and the signals are seen as they were ``value`` seconds ago; who came since is not seen."""
+    """The others and the signals are seen as they were ``value`` seconds ago; later arrivals are not seen."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return the scene of ``value`` seconds ago, with the target as it is."""
+        """Return the scene of ``value`` seconds ago with the present target."""
         del road, seed
         history = scene.history
-        past = _with(memory, scene, self.value + history.dt_s * history.steps)
-        then = history.times_s - self.value
+        past = _recorded(memory, scene, self.value + history.dt_s * history.steps)
+        times_s = history.times_s - self.value
         xy, yaw, speed, valid = _empty(scene)
-        for row, name in enumerate(history.ids):
-            known = past.states.get(name)
-            if known is not None:
-                xy[row], yaw[row], speed[row], valid[row] = _at(known, then)
+        for row, agent_id in enumerate(history.ids):
+            track = past.states.get(agent_id)
+            if track is not None:
+                xy[row], yaw[row], speed[row], valid[row] = _states_at(track, times_s)
         rows = others_of(scene)
         late = with_states(scene, rows, xy, yaw, speed)
         shown = np.where(rows[:, None], valid, history.valid)
@@ -55,56 +55,57 @@ class Late(PlantedFault):
 
 
 class ConstantVelocity(PlantedFault):
-    """The others are believed to have gone straight on at the same speed for the last ``value`` seconds."""
+    """The others seem to have kept their velocity of ``value`` seconds ago since then."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
-        """Return where the others would be had they kept the velocity that they had ``value`` seconds ago."""
+        """Return *scene* with the others where constant velocity would have taken them."""
         del road, seed
         history = scene.history
-        past = _with(memory, scene, self.value + history.dt_s * history.steps)
+        past = _recorded(memory, scene, self.value + history.dt_s * history.steps)
         xy, yaw, speed, _ = _empty(scene)
-        for row, name in enumerate(history.ids):
-            known = past.states.get(name)
-            if known is None:
+        for row, agent_id in enumerate(history.ids):
+            track = past.states.get(agent_id)
+            if track is None:
                 continue
-            then = np.maximum(history.times_s - self.value, known[0, 0])
-            xy[row], yaw[row], speed[row], _ = _at(known, then)
-            gone = speed[row] * (history.times_s - then)
-            xy[row] += gone[:, None] * unit(yaw[row])
+            times_s = np.maximum(history.times_s - self.value, track[0, 0])
+            xy[row], yaw[row], speed[row], _ = _states_at(track, times_s)
+            driven_m = speed[row] * (history.times_s - times_s)
+            xy[row] += driven_m[:, None] * unit(yaw[row])
         believed = with_states(scene, others_of(scene), xy, yaw, speed)
         return replace(believed, history=believed.history.where(history.valid)), past
 
 
-def _with(memory: Any, scene: Scene, span_s: float) -> _Past:
-    """Return what is known with *scene* added and what is older than *span_s* dropped."""
-    before: _Past = memory if memory is not None else _Past({})
+def _recorded(memory: Any, scene: Scene, span_s: float) -> _Past:
+    """Return the past with *scene* added, without what is older than *span_s*."""
+    previous: _Past = memory if memory is not None else _Past({})
     history, states = scene.history, {}
-    for row, name in enumerate(history.ids):
-        there = history.valid[row]
+    for row, agent_id in enumerate(history.ids):
+        is_valid = history.valid[row]
         observed = np.column_stack(
             (history.times_s, history.xy_m[row], history.yaw_rad[row], history.speed_mps[row])
-        )[there]
-        known = before.states.get(name)
-        if known is not None and len(known):
-            observed = np.concatenate((known, observed[observed[:, 0] > known[-1, 0] + _SLACK_S]))
+        )[is_valid]
+        track = previous.states.get(agent_id)
+        if track is not None and len(track):
+            observed = np.concatenate((track, observed[observed[:, 0] > track[-1, 0] + _SLACK_S]))
         observed = observed[observed[:, 0] >= scene.time_s - span_s - _SLACK_S]
         if len(observed):
             observed[:, 3] = np.unwrap(observed[:, 3])
-            states[name] = observed
-    signals = [x for x in before.signals if scene.time_s - span_s <= x[0] < scene.time_s - _SLACK_S]
+            states[agent_id] = observed
+    signals = [x for x in previous.signals if scene.time_s - span_s <= x[0] < scene.time_s - _SLACK_S]
     return _Past(states, (*signals, (scene.time_s, scene.signals)))
 
 
-def _at(known: FloatArray, then_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
-    """Return places (T, 2), headings (T,), speeds (T,) and validity (T,) at *then_s*; NaN before the first."""
-    valid = (then_s >= known[0, 0] - _SLACK_S) & (then_s <= known[-1, 0] + _SLACK_S)
+def _states_at(track: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
+    """Return positions (T, 2), headings, speeds and validity (T,) at *times_s*; NaN outside the track."""
+    valid = (times_s >= track[0, 0] - _SLACK_S) & (times_s <= track[-1, 0] + _SLACK_S)
     x, y, yaw, speed = (
-        np.where(valid, np.interp(then_s, known[:, 0], known[:, k]), np.nan) for k in range(1, 5)
+        np.where(valid, np.interp(times_s, track[:, 0], track[:, k]), np.nan) for k in range(1, 5)
     )
     return np.column_stack((x, y)), wrap_angle(yaw), speed, valid
 
 
 def _empty(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
+    """Return positions, headings and speeds of NaN, and validity False, shaped as in the history of *scene*."""
     shape = scene.history.yaw_rad.shape
     return (
         np.full((*shape, 2), np.nan),

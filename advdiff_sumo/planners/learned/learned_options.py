@@ -1,4 +1,4 @@
-"""What may be set on the learned targets."""
+"""Options of the learned targets."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ class LearnedOptions(Options):
     """Options of every learned target.
 
     Attributes:
-        weights: a file of networks, or the name of shipped ones; empty: the usual ones.
-        device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
-        agents: road users that the networks see, the nearest ones.
-        route: whether the model's speeds are also tried along the route's lanes; without it the target drives
-            where the model would go, which knows no route.
-        brakes: whether braking by 2, 4 and 8 m/s² is tried where it would collide in every sample.
+        weights: file of networks, or name of shipped ones; empty: the default ones.
+        device: "auto": a GPU if there is one, else the CPU; or a PyTorch device name.
+        agents: number of nearest road users that the networks see.
+        route: whether the samples' speeds are also tried along the lanes of the route; without it the target goes
+            wherever the model drives it, and the model knows no route.
+        brakes: whether braking at 2, 4 and 8 m/s² is tried, too.
     """
 
     weights: str = ""
@@ -27,14 +27,14 @@ class LearnedOptions(Options):
 
 
 class SimNetPlannerOptions(LearnedOptions):
-    """Options of the target ``simnet``, which draws nothing."""
+    """Options of the target ``simnet``, which draws no samples."""
 
 
 class TrafficSimPlannerOptions(LearnedOptions):
     """Options of the target ``trafficsim``.
 
     Attributes:
-        draws: joint futures that are drawn from the prior beside that of its mean; 0: the mean alone.
+        draws: joint futures drawn from the prior besides that of its mean; 0: the mean only.
     """
 
     draws: int = Field(7, ge=0, le=63)
@@ -44,10 +44,10 @@ class DiffusionPlannerOptions(LearnedOptions):
     """Options of the target ``diffusion``.
 
     Attributes:
-        samples: joint futures that are drawn.
+        samples: number of joint futures drawn.
         steps: denoising steps.
-        begin: share of the noise schedule at which they begin, see ``diffusion.sampler.Sampling``.
-        persistence: how much of the target's starting noise, and so of its intention, is kept from plan to plan.
+        begin: share of the noise schedule at which denoising begins, see ``diffusion.sampler.Sampling``.
+        persistence: share of the target's starting noise, and so of its intention, that is kept from plan to plan.
     """
 
     samples: int = Field(8, ge=1, le=64)

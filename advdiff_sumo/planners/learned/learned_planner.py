@@ -1,8 +1,8 @@
-"""Targets that drive by a trained traffic model: ask it for joint futures, choose among what they offer, drive that.
+"""Drive the target by a trained traffic model: sample joint futures, score candidates made from them, choose one.
 
-A traffic model knows no route and no rules. A planner that is built on one would draw several futures, and drive the
-one in which it stays on the road and on its way, and meets nobody in any of them. Where a sample leaves the route,
-its speed is driven along the route's lanes instead; where nothing else is left, the target brakes.
+A traffic model knows no route and no rules. The planner draws several futures. It prefers the candidate that
+stays on the road and the route and collides in no sample. Candidates are the target's motion in each sample,
+each sample's speeds along the lanes of the route, and braking.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from advdiff_sumo.planners.learned.learned_options import (
 from advdiff_sumo.planners.learned.models import DiffusionModel, Model, SimNetModel, TrafficSimModel
 
 HORIZON_STEPS = 8
-"""Model steps that are looked ahead: 4 s."""
-_FINE_S, _FINE_STEPS = 0.1, 20
+"""Model steps of a predicted future: 4 s."""
+_PLAN_STEP_S, _PLAN_STEPS = 0.1, 20
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class LearnedMemory:
     """What a learned target remembers from plan to plan.
 
     Attributes:
-        lanes: where on the lane graph it is, see the lane-graph planner.
-        noise: id → what the chosen sample of the diffusion was started from.
+        lanes: memory of the lane-graph planner, which tracks the lane.
+        noise: id → starting noise of the chosen diffusion sample.
     """
 
     lanes: LaneMemory
@@ -59,10 +59,10 @@ class LearnedMemory:
 
 
 class LearnedPlanner:
-    """What the three targets share.
+    """Base class of the three targets.
 
     Attributes:
-        options: checked.
+        options: the checked options.
         model: the trained model.
     """
 
@@ -84,7 +84,7 @@ class LearnedPlanner:
         self.model: Model = self.Networks(self.options, device)
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> LearnedMemory:
-        """Return an empty memory, and let the map make its table of pieces."""
+        """Return an empty memory, and compute the map's table of pieces."""
         del scene, rng
         _ = road.pieces(self.model.map_view)
         return LearnedMemory(LaneMemory(Geometry.of(road)))
@@ -93,15 +93,15 @@ class LearnedPlanner:
     def plan(
         self, road: RoadMap, scene: Scene, memory: LearnedMemory, rng: np.random.Generator
     ) -> tuple[Plan, LearnedMemory]:
-        """Return what is driven in the coming seconds, and the memory for the next plan."""
+        """Return the plan and the memory for the next plan."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-        # 1. what will happen, says the model
-        everybody = np.ones(scene.history.agents, dtype=np.bool_)
-        view = look(road, scene, everybody, self.options.agents, self.model.map_view)
-        prediction = self.model.tell(view, memory.noise, generator, HORIZON_STEPS)
-        # 2. where does the route lead
+        # 1. Predict joint futures with the model.
+        all_agents = np.ones(scene.history.agents, dtype=np.bool_)
+        view = look(road, scene, all_agents, self.options.agents, self.model.map_view)
+        prediction = self.model.predict(view, memory.noise, generator, HORIZON_STEPS)
+        # 2. Find the lines along the route.
         guide, lanes = guide_of(road, scene, memory.lanes)
-        # 3. what may I do, and what is best
+        # 3. Propose candidates and choose the cheapest.
         xy, yaw, speed = _world(view, prediction.rollout)
         own = view.now.xy_m[0, -1], float(view.now.yaw_rad[0, -1]), max(float(view.now.speed_mps[0, -1]), 0.0)
         offered = candidates(
@@ -115,22 +115,22 @@ class LearnedPlanner:
             self.options.brakes,
         )
         around = _around(view, xy, yaw)
-        known = guide if self.options.route else None
-        best = int(np.argmin(cost(offered, around, road, known, view.now.size_m[0], MODEL_STEP_S)))
-        # 4. drive it
+        scored_guide = guide if self.options.route else None
+        best = int(np.argmin(cost(offered, around, road, scored_guide, view.now.size_m[0], MODEL_STEP_S)))
+        # 4. Turn it into a plan.
         noise = prediction.noise[int(offered.sample[best])] if prediction.noise else {}
         return _driven(offered, best, guide, view), LearnedMemory(lanes, noise)
 
 
 class SimNetPlanner(LearnedPlanner):
-    """SimNet (Bergamini et al. 2021, doi:10.1109/ICRA48506.2021.9561666) as a planner; see ``models.simnet``."""
+    """Planner on SimNet (Bergamini et al. 2021, doi:10.1109/ICRA48506.2021.9561666); see ``models.simnet``."""
 
     Options, Networks = SimNetPlannerOptions, SimNetModel
     name = "simnet"
 
 
 class TrafficSimPlanner(LearnedPlanner):
-    """The joint latent-variable model as a planner: encoder, prior and decoder of a traffic bundle.
+    """Planner on the joint latent-variable model: encoder, prior and decoder of a traffic bundle.
 
     After TrafficSim (Suo et al. 2021, doi:10.1109/CVPR46437.2021.01026).
     """
@@ -140,7 +140,7 @@ class TrafficSimPlanner(LearnedPlanner):
 
 
 class DiffusionPlanner(LearnedPlanner):
-    """The latent diffusion without guide (AdvDiffuser, Sec. III-B) as a planner."""
+    """Planner on the latent diffusion without guide (AdvDiffuser, Sec. III-B)."""
 
     Options, Networks = DiffusionPlannerOptions, DiffusionModel
     name = "diffusion"
@@ -149,20 +149,22 @@ class DiffusionPlanner(LearnedPlanner):
 def _world(view: View, rollout: Rollout) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return positions (S, A, T, 2), headings and speeds (S, A, T) in the world's frame."""
     xy, yaw, speed = (
-        part.detach().cpu().numpy().astype(np.float64) for part in (rollout.xy, rollout.yaw, rollout.speed)
+        tensor.detach().cpu().numpy().astype(np.float64)
+        for tensor in (rollout.xy, rollout.yaw, rollout.speed)
     )
     return xy + view.now.xy_m[0, -1], yaw, speed
 
 
 def _around(view: View, xy_m: FloatArray, yaw_rad: FloatArray) -> Around:
+    """Return the others in the samples, and which of them follow the target."""
     now = view.now
     own = now.xy_m[0, -1], float(now.yaw_rad[0, -1]), float(now.size_m[0, 0])
-    behind = followers(now.xy_m[1:, -1], now.yaw_rad[1:, -1], own)
-    return Around(xy_m[:, 1:], yaw_rad[:, 1:], now.size_m[1:], behind)
+    is_follower = followers(now.xy_m[1:, -1], now.yaw_rad[1:, -1], own)
+    return Around(xy_m[:, 1:], yaw_rad[:, 1:], now.size_m[1:], is_follower)
 
 
 def _driven(offered: Candidates, best: int, guide: Guide | None, view: View) -> Trajectory:
-    """Return the chosen candidate; one along a line as a bicycle follows it, a sample is a bicycle's already."""
+    """Return the chosen candidate as a plan; a bicycle model follows it if it is not a sample as it is."""
     if offered.line[best] == RAW or guide is None:
         return Trajectory(
             offered.xy_m[best], wrap_angle(offered.yaw_rad[best]), offered.speed_mps[best], MODEL_STEP_S
@@ -171,12 +173,13 @@ def _driven(offered: Candidates, best: int, guide: Guide | None, view: View) -> 
 
 
 def _followed(line: Variant, speed_mps: FloatArray, view: View) -> Trajectory:
+    """Return the trajectory of a bicycle model that follows *line* at speeds (T,)."""
     now = view.now
-    start = max(float(now.speed_mps[0, -1]), 0.0)
-    fine = _FINE_S * np.arange(1, _FINE_STEPS + 1)
-    coarse = MODEL_STEP_S * np.arange(len(speed_mps) + 1)
-    speed = np.interp(fine, coarse, np.append(start, speed_mps))
-    xy, yaw = line.poses(line.s_m + driven_m(speed, start, _FINE_S))
-    state = now.xy_m[0, -1], now.yaw_rad[0, -1], np.asarray(start)
-    driven = track(state, (xy, wrap_angle(yaw), speed), now.size_m[0, 0], _FINE_S, Limits())
-    return Trajectory(*driven, dt_s=_FINE_S)
+    speed_now = max(float(now.speed_mps[0, -1]), 0.0)
+    time_s = _PLAN_STEP_S * np.arange(1, _PLAN_STEPS + 1)
+    model_time_s = MODEL_STEP_S * np.arange(len(speed_mps) + 1)
+    speed = np.interp(time_s, model_time_s, np.append(speed_now, speed_mps))
+    xy, yaw = line.poses(line.s_m + driven_m(speed, speed_now, _PLAN_STEP_S))
+    state = now.xy_m[0, -1], now.yaw_rad[0, -1], np.asarray(speed_now)
+    driven = track(state, (xy, wrap_angle(yaw), speed), now.size_m[0, 0], _PLAN_STEP_S, Limits())
+    return Trajectory(*driven, dt_s=_PLAN_STEP_S)

@@ -1,4 +1,4 @@
-"""The three models, each as something that tells joint futures of what is seen."""
+"""Sample joint futures from each of the three trained traffic models."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from advdiff_sumo.planners.learned.learned_options import (
 
 @dataclass(frozen=True)
 class ModelFutures:
-    """What a model tells.
+    """Futures that a model predicts.
 
     Attributes:
         rollout: S joint futures of the view's agents, as S scenes.
-        noise: of the diffusion, per sample and id what it was started from; empty for the other models.
+        noise: of the diffusion: id → starting noise, for each sample; empty for the other models.
     """
 
     rollout: Rollout
@@ -47,27 +47,27 @@ class ModelFutures:
 
 
 class Model(Protocol):
-    """A trained model that knows no route.
+    """A trained traffic model; it knows no route.
 
     Attributes:
-        map_view: how much of the map it was trained to see.
+        map_view: how much of the map it was trained with.
     """
 
     map_view: MapView
 
-    def tell(
+    def predict(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
     ) -> ModelFutures:
-        """Return joint futures of *steps* model steps, going on from the last plan's *noise* where that is used."""
+        """Return joint futures of *steps* model steps; the diffusion starts from the last plan's *noise*."""
         ...
 
 
 class SimNetModel:
-    """SimNet: one future, nothing is drawn.
+    """SimNet: one future, without samples.
 
     Args:
-        options: of the target.
-        device: where it runs.
+        options: options of the target.
+        device: device that it runs on.
     """
 
     def __init__(self, options: SimNetPlannerOptions, device: torch.device) -> None:
@@ -76,21 +76,21 @@ class SimNetModel:
         self.map_view = self._simnet.options.map_view
 
     @torch.no_grad()
-    def tell(
+    def predict(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
     ) -> ModelFutures:
-        """Return the one future."""
+        """Return the only future."""
         del noise, generator
         rollout: Rollout = self._simnet(view.batch.to(self._device), steps)
         return ModelFutures(rollout)
 
 
 class TrafficSimModel:
-    """The joint latent-variable model: the prior's mean, and draws from it.
+    """The joint latent-variable model: the mean of its prior, and samples.
 
     Args:
-        options: of the target.
-        device: where it runs.
+        options: options of the target.
+        device: device that it runs on.
     """
 
     def __init__(self, options: TrafficSimPlannerOptions, device: torch.device) -> None:
@@ -99,10 +99,10 @@ class TrafficSimModel:
         self.map_view = self._bundle.options.model.map_view
 
     @torch.no_grad()
-    def tell(
+    def predict(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
     ) -> ModelFutures:
-        """Return the future of the prior's mean, then those of the draws."""
+        """Return the future of the prior's mean, then those of the samples."""
         del noise
         batch = view.batch.to(self._device)
         context = self._bundle.traffic.encoder(batch)
@@ -115,11 +115,11 @@ class DiffusionModel:
     """Latent diffusion without a guide.
 
     Args:
-        options: of the target.
-        device: where it runs.
+        options: options of the target.
+        device: device that it runs on.
 
     Raises:
-        WeightsError: the bundle diffuses trajectories.
+        WeightsError: the bundle diffuses trajectories, not latents.
         ConfigError: more steps than the networks were trained with.
     """
 
@@ -144,30 +144,30 @@ class DiffusionModel:
         self._denoiser = fast_denoiser(self._bundle.denoiser)
 
     @torch.no_grad()
-    def tell(
+    def predict(
         self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator, steps: int
     ) -> ModelFutures:
-        """Return the futures of all samples; the first goes on from the last plan's noise."""
+        """Return the futures of all samples; the first one starts from the last plan's noise."""
         options = self._options
         batch = view.batch.to(self._device)
         context = self._bundle.traffic.encoder(batch).repeat(options.samples)
         start = self._start(view, noise, generator)
-        noise_of = self._denoiser(context)
-        x = sample(noise_of, start.to(self._device), self._schedule, self._sampling, generator)
+        denoise = self._denoiser(context)
+        x = sample(denoise, start.to(self._device), self._schedule, self._sampling, generator)
         z = self._codec.unscale(x)[:, :, 0]
         rollout = self._decoder.whole(z, context.h, batch.repeat(options.samples), steps)[0]
-        kept = start[:, :, 0].numpy().astype(np.float64)
-        return ModelFutures(rollout, tuple(dict(zip(view.ids, rows, strict=True)) for rows in kept))
+        start_noise = start[:, :, 0].numpy().astype(np.float64)
+        return ModelFutures(rollout, tuple(dict(zip(view.ids, rows, strict=True)) for rows in start_noise))
 
     def _start(self, view: View, noise: Mapping[str, FloatArray], generator: torch.Generator) -> Tensor:
-        """Return standard normal noise (S, A, 1, Z)."""
+        """Return standard normal noise (S, A, 1, Z); in the first sample mixed with the last plan's *noise*."""
         latent, share = self._bundle.options.model.latent, self._options.persistence
-        fresh = draw(torch.zeros(self._options.samples, len(view.ids), 1, latent), generator)
-        for row, name in enumerate(view.ids):
-            if name in noise:
-                old = torch.from_numpy(noise[name]).to(fresh.dtype)
-                fresh[0, row, 0] = share * old + (1.0 - share**2) ** 0.5 * fresh[0, row, 0]
-        return fresh
+        start = draw(torch.zeros(self._options.samples, len(view.ids), 1, latent), generator)
+        for row, agent_id in enumerate(view.ids):
+            if agent_id in noise:
+                previous = torch.from_numpy(noise[agent_id]).to(start.dtype)
+                start[0, row, 0] = share * previous + (1.0 - share**2) ** 0.5 * start[0, row, 0]
+        return start
 
 
 @kept_while_same(2)

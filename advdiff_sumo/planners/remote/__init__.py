@@ -1,1 +1,1 @@
-"""Planners in processes of their own, over gRPC; the rest of the package sees a planner like any other."""
+"""Planners in separate processes, over gRPC; the rest of the package uses them like any other planner."""

@@ -1,4 +1,4 @@
-"""Calls of a planner's server; each has a deadline, and whatever goes wrong is a typed failure."""
+"""Call a planner's server; each call has a deadline, and each fault becomes a typed failure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its core writes to standard error; read when it is imported
+os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # else gRPC writes to standard error; read at its import
 
 import grpc
 from google.protobuf.message import DecodeError
@@ -30,15 +30,18 @@ _RECONNECT = (
 
 _UNREADABLE = object()
 _TOO_LARGE = "message larger than max"
-"""What gRPC says of a message beyond the limit of who is to take it, 4 MB unless that lifts it."""
+"""Part of gRPC's error for a message that exceeds the receiver's limit, by default 4 MB."""
 
 
 class PlannerSideError(Exception):
-    """Where the planner raised, as its own Python tells it."""
+    """Cause of a failure: the traceback, or the output, of the planner's own process."""
 
 
-def _reader_of(message: Any) -> Callable[[bytes], Any]:
-    """Return what reads *message*; gRPC would tell one that is damaged as an error of the planner."""
+def _parser_of(message: Any) -> Callable[[bytes], Any]:
+    """Return a function that parses *message*; it returns ``_UNREADABLE`` for damaged bytes.
+
+    gRPC itself would report them as an error of the planner.
+    """
 
     def read(content: bytes) -> Any:
         try:
@@ -53,45 +56,46 @@ class Connection:
     """One channel to one server.
 
     Attributes:
-        who: name for messages.
+        who: name of the target in error messages.
     """
 
     def __init__(self, address: str, who: str) -> None:
-        """Nothing is sent before the first call."""
+        """Open the channel; nothing is sent before the first call."""
         self.who = who
         self._channel = grpc.insecure_channel(address, options=(*messages.CHANNEL_OPTIONS, *_RECONNECT))
         self._calls = {
             name: self._channel.unary_unary(
                 f"/{messages.SERVICE}/{name}",
-                request_serializer=asked.SerializeToString,
-                response_deserializer=_reader_of(answer),
+                request_serializer=request.SerializeToString,
+                response_deserializer=_parser_of(response),
             )
-            for name, (asked, answer) in messages.CALLS.items()
+            for name, (request, response) in messages.CALLS.items()
         }
 
     def call(self, name: str, request: Any, timeout_s: float, wait: bool = False) -> Any:
-        """Return the server's answer.
+        """Return the server's response.
 
         Args:
-            name: of the call.
+            name: name of the call.
             request: its message.
             timeout_s: deadline.
-            wait: try until then to reach a server that is not there yet.
+            wait: whether to keep trying until the deadline if the server cannot be reached yet.
 
         Raises:
-            EpisodeFailure: one of its kinds.
+            EpisodeFailure: a subclass by the kind of fault.
         """
         try:
-            answer = self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
+            response = self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
         except grpc.RpcError as error:
             failure = self._failure(name, error, timeout_s)
             trace = dict(error.trailing_metadata() or ()).get(TRACE_KEY, b"")
             raise failure from (PlannerSideError(trace.decode(errors="replace")) if trace else None)
-        if answer is _UNREADABLE:
+        if response is _UNREADABLE:
             raise self._unreadable(name)
-        return answer
+        return response
 
     def _unreadable(self, name: str) -> EpisodeFailure:
+        """Return the failure for a response that cannot be parsed."""
         kind = PlanRefusedError if name == "MakePlan" else PlannerError
         form = f"{messages.CALLS[name][1].DESCRIPTOR.name} of planner.proto"
         return kind(
@@ -100,6 +104,7 @@ class Connection:
         )
 
     def _failure(self, name: str, error: Any, timeout_s: float) -> EpisodeFailure:
+        """Return the failure for an error of gRPC."""
         code, details = error.code(), " ".join((error.details() or "").split())
         if code is grpc.StatusCode.DEADLINE_EXCEEDED:
             return PlannerTimeoutError(f"{self.who} did not answer {name} within {timeout_s:g} s")

@@ -1,9 +1,9 @@
-"""Runs a command for as long as its own standard input is open, then ends it and every process that it started.
+"""Run a command until it ends or standard input closes, then end it and every process that it started.
 
-Started as a script, in an interpreter without any package: the process that holds the other end of the pipe may die in
-any way, and nothing of the command stays behind; without ``/proc`` nothing of its process group. The last line on
-standard output is the command's exit code, negative for a signal. Whoever dies cannot clean up: a folder that is named
-before the command, ``--folder=PATH``, goes once the input is closed.
+This script runs in an interpreter without any package. The process that holds the other end of the pipe may die
+in any way: no process of the command stays behind. Without ``/proc``, only its process group is ended. The last
+line on standard output is the command's exit code, negative for a signal. A dead parent cannot clean up, so a
+folder named before the command, ``--folder=PATH``, is removed once standard input is closed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from pathlib import Path
 
 FOLDER = "--folder="
 _PR_SET_CHILD_SUBREAPER = 36
-_GRACE_S, _POLL_S, _WATCH_S = 0.5, 0.01, 0.05
+_GRACE_S = 0.5  # between asking a process to end and killing it
+_POLL_S, _WATCH_S = 0.01, 0.05
 PROC = Path("/proc")
-_THREADS = 20 - 3
-"""Where ``/proc/PID/stat`` has the number of threads, its field 20, counted from the state."""
+_THREADS_FIELD = 20 - 3
+"""Index of the number of threads (field 20 of ``/proc/PID/stat``), counted from the state (field 3)."""
 
 
 def main() -> None:
-    """Run ``sys.argv[1:]``, the folder left out."""
+    """Run the command in ``sys.argv[1:]``, which may begin with the folder."""
     words = sys.argv[1:]
     folder = words.pop(0).removeprefix(FOLDER) if words[0].startswith(FOLDER) else ""
     code = _run(words)
-    if folder and _nobody_listens():
-        import shutil  # late: the command need not wait for it
+    if folder and _input_closed():
+        import shutil  # late: so that the command starts at once
 
         shutil.rmtree(folder, ignore_errors=True)
     sys.stdout.write(f"{code}\n")
@@ -61,10 +62,10 @@ def _run(words: list[str]) -> int:
 
 
 def _wait(command: subprocess.Popen[bytes]) -> None:
-    """Return when *command* ends, or when nobody holds the other end of standard input any more."""
+    """Wait until *command* ends or the other end of standard input is closed."""
     ended = _pidfd(command.pid)
     if ended is None:
-        while command.poll() is None and not _nobody_listens(_WATCH_S):
+        while command.poll() is None and not _input_closed(_WATCH_S):
             pass
         return
     poll = select.poll()
@@ -74,13 +75,13 @@ def _wait(command: subprocess.Popen[bytes]) -> None:
     os.close(ended)
 
 
-def _nobody_listens(within_s: float = 0.0) -> bool:
-    """Return whether the other end of standard input is closed, or gets closed *within_s*."""
+def _input_closed(within_s: float = 0.0) -> bool:
+    """Return whether the other end of standard input is closed now or within *within_s*."""
     return bool(select.select([0], [], [], within_s)[0])
 
 
 def _pidfd(pid: int) -> int | None:
-    """Return a descriptor that becomes readable when *pid* ends; None where the system has none (macOS, old Linux)."""
+    """Return a descriptor that becomes readable when *pid* ends; None if the system has none (macOS, old Linux)."""
     try:
         return os.pidfd_open(pid)
     except (AttributeError, OSError):
@@ -88,56 +89,56 @@ def _pidfd(pid: int) -> int | None:
 
 
 def adopt_orphans() -> None:
-    """Become the parent of every descendant whose own parent ends; Linux alone can do that."""
+    """Become the parent of every descendant whose own parent ends; only Linux supports it."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def end_descendants() -> None:
-    """Ask all processes below this one to end, and kill what is still there half a second later."""
-    asked_at = time.monotonic()
-    word = signal.SIGTERM
-    asked: set[int] = set()
-    while children := _children() or _children():  # one can become ours behind the first look
-        if word is signal.SIGTERM and time.monotonic() - asked_at > _GRACE_S:
-            word, asked = signal.SIGKILL, set()
+    """Send SIGTERM to all descendants, and SIGKILL to those that still run half a second later."""
+    start_s = time.monotonic()
+    signal_sent = signal.SIGTERM
+    signalled: set[int] = set()
+    while children := _children() or _children():  # an orphan may be adopted during the first listing
+        if signal_sent is signal.SIGTERM and time.monotonic() - start_s > _GRACE_S:
+            signal_sent, signalled = signal.SIGKILL, set()
         for pid in children:
-            if pid not in asked:
+            if pid not in signalled:
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, word)
-                asked.add(pid)
+                    os.kill(pid, signal_sent)
+                signalled.add(pid)
         time.sleep(_POLL_S)
 
 
 def end_group(command: subprocess.Popen[bytes]) -> None:
-    """Ask the process group that *command* leads to end, and kill what is still there half a second later."""
-    until = time.monotonic() + _GRACE_S
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left
+    """Send SIGTERM to the process group of *command*, and SIGKILL if it still exists half a second later."""
+    deadline_s = time.monotonic() + _GRACE_S
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # the group is empty
         os.killpg(command.pid, signal.SIGTERM)
-        while time.monotonic() < until:
-            command.poll()  # else it is there as a zombie
+        while time.monotonic() < deadline_s:
+            command.poll()  # else it stays as a zombie
             os.killpg(command.pid, 0)
             time.sleep(_POLL_S)
         os.killpg(command.pid, signal.SIGKILL)
 
 
 def _children() -> list[int]:
-    """Return the children that have not ended; what a child leaves behind becomes one itself."""
+    """Return the children that have not ended; orphans of a child become children themselves."""
     own = str(os.getpid())
     return [int(folder.name) for folder in PROC.glob("[0-9]*") if _parent(folder) == own]
 
 
 def _parent(folder: Path) -> str:
-    """Return the parent of a process; "" for one that has ended.
+    """Return the parent's id of a process; "" if the process has ended.
 
-    One whose first thread has ended (state Z) is there, and keeps its children, until its last one has.
+    A process whose first thread has ended (state Z) still exists, and keeps its children, until its last thread ends.
     """
     try:
         stat = (folder / "stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
-    fields = stat.rpartition(")")[2].split()  # from the third one on, the state
-    state, parent, threads = fields[0], fields[1], int(fields[_THREADS])
+    fields = stat.rpartition(")")[2].split()  # from field 3 on, the state
+    state, parent, threads = fields[0], fields[1], int(fields[_THREADS_FIELD])
     return "" if state == "Z" and threads <= 1 else parent
 
 

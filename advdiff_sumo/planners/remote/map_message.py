@@ -1,4 +1,4 @@
-"""A road map as a message."""
+"""Convert a road map to a ``Map`` message."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from advdiff_sumo.planner_kit import messages
 
 @lru_cache(maxsize=4)
 def map_id_of(road: RoadMap) -> str:
-    """Return the digest of the net that *road* was read from, and of its drivable area."""
+    """Return a digest of the net file of *road* and of its drivable area."""
     digest = hashlib.sha256(road.path.read_bytes())
     area = sidecar_of(road.path)
     if area is not None:

@@ -1,8 +1,8 @@
-"""A scene as ASAM OSI ground truth, for stacks that speak OSI.
+"""Convert a scene to ASAM OSI ground truth, for stacks that use OSI.
 
 ASAM OSI 3.7 ff., https://opensimulationinterface.github.io/osi-antora-documentation/. Filled in: time, host vehicle,
-moving objects with base (position, size, orientation, velocity, acceleration) and classification. Heights are 0 to
-``_HEIGHT_M``, as the world is flat.
+moving objects with base (position, size, orientation, velocity, acceleration) and classification. The world is
+flat; objects reach from height 0 to ``_HEIGHT_M``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _VEHICLE_TYPES = {
 
 
 def ground_truth(scene: Scene) -> Any:
-    """Return *scene* as an ``osi3.GroundTruth`` of now; object ids are :func:`object_id` of their names.
+    """Return the present instant of *scene* as an ``osi3.GroundTruth``; object ids come from :func:`object_id`.
 
     Raises:
         MissingExtraError: ``osi-python`` is not installed.
@@ -46,7 +46,7 @@ def ground_truth(scene: Scene) -> Any:
 
 
 def object_id(name: str) -> int:
-    """Return the OSI id of the road user whom SUMO calls *name*: the same for as long as it is there, and anywhere."""
+    """Return the OSI id of the road user with SUMO's id *name*; it depends on that alone."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
@@ -56,32 +56,32 @@ def ground_truth_bytes(scene: Scene) -> bytes:
     return written
 
 
-def _fill(thing: Any, scene: Scene, row: int) -> None:
-    """Write agent *row* into the ``osi3.MovingObject`` *thing*."""
-    now = scene.history
-    x, y = now.xy_m[row, -1].tolist()
-    yaw, speed = float(now.yaw_rad[row, -1]), float(now.speed_mps[row, -1])
-    length, width = now.size_m[row].tolist()
-    thing.id.value = object_id(now.ids[row])
-    base = thing.base
+def _fill(item: Any, scene: Scene, row: int) -> None:
+    """Write agent *row* into the ``osi3.MovingObject`` *item*."""
+    history = scene.history
+    x, y = history.xy_m[row, -1].tolist()
+    yaw, speed = float(history.yaw_rad[row, -1]), float(history.speed_mps[row, -1])
+    length, width = history.size_m[row].tolist()
+    item.id.value = object_id(history.ids[row])
+    base = item.base
     base.position.x, base.position.y, base.position.z = x, y, 0.5 * _HEIGHT_M
     base.dimension.length, base.dimension.width, base.dimension.height = length, width, _HEIGHT_M
     base.orientation.yaw, base.orientation.pitch, base.orientation.roll = yaw, 0.0, 0.0
     base.velocity.x, base.velocity.y, base.velocity.z = speed * np.cos(yaw), speed * np.sin(yaw), 0.0
-    accel = (speed - float(now.speed_mps[row, -2])) / now.dt_s if now.steps > 1 else 0.0
+    accel = (speed - float(history.speed_mps[row, -2])) / history.dt_s if history.steps > 1 else 0.0
     if np.isfinite(accel):
         base.acceleration.x, base.acceleration.y, base.acceleration.z = (
             accel * np.cos(yaw),
             accel * np.sin(yaw),
             0.0,
         )
-    _classify(thing, AgentClass(int(now.classes[row])))
+    _classify(item, AgentClass(int(history.classes[row])))
 
 
-def _classify(thing: Any, agent_class: AgentClass) -> None:
+def _classify(item: Any, agent_class: AgentClass) -> None:
     if agent_class is AgentClass.PEDESTRIAN:
-        thing.type = thing.TYPE_PEDESTRIAN
+        item.type = item.TYPE_PEDESTRIAN
         return
-    thing.type = thing.TYPE_VEHICLE
-    kinds = thing.vehicle_classification
-    kinds.type = getattr(kinds, _VEHICLE_TYPES[agent_class])
+    item.type = item.TYPE_VEHICLE
+    classification = item.vehicle_classification
+    classification.type = getattr(classification, _VEHICLE_TYPES[agent_class])

@@ -1,4 +1,4 @@
-"""A planner's server that we start ourselves, and that never outlives us."""
+"""Start a planner's server, and make sure that it never outlives this process."""
 
 from __future__ import annotations
 
@@ -22,16 +22,14 @@ from advdiff_sumo.planners.remote import keeper
 _log = logging.getLogger(__name__)
 _POLL_S, _END_S = 0.01, 5.0
 _TAIL_BYTES, _LOG_BYTES = 4000, 1 << 20
-#: What a command may hold in place of the environment variable.
+#: Placeholder in a command for the address, as an alternative to the environment variable.
 ADDRESS_FIELD = "{address}"
-
-
 #: Longest path of a socket in bytes: 107 on Linux, 103 on macOS.
 _SOCKET_BYTES = 103
 
 
 def _socket_folder() -> Path:
-    """Return a new temporary folder with a path that is short enough for a socket in it."""
+    """Return a new temporary folder whose path is short enough for a socket in it."""
     folder = Path(tempfile.mkdtemp(prefix="advdiff-planner-"))
     if len(os.fsencode(folder / "socket")) > _SOCKET_BYTES:
         folder.rmdir()
@@ -40,17 +38,17 @@ def _socket_folder() -> Path:
 
 
 class PlannerProcess:
-    """One running server; :meth:`end` it, or let it go: its keeper ends it when this process ends in any way.
+    """A running server. Its keeper process ends it at :meth:`end`, or when this process ends in any way.
 
     Attributes:
-        address: where it is to answer.
+        address: address at which it is to listen.
     """
 
     def __init__(self, command: str, who: str) -> None:
         """Start *command*.
 
         Raises:
-            ConfigError: it cannot be split into words.
+            ConfigError: the command cannot be split into words.
         """
         self.who, words = who, split_command(command)
         self._folder = _socket_folder()
@@ -66,7 +64,7 @@ class PlannerProcess:
         self._finish = weakref.finalize(self, _end, self._keeper, self._folder)
 
     def _started(self, words: list[str]) -> subprocess.Popen[bytes]:
-        """Return the keeper of the command *words*, which removes the folder, too, if this process dies."""
+        """Return the keeper of the command *words*; it also removes the folder if this process dies."""
         with self._log.open("ab") as log:
             return subprocess.Popen(
                 [sys.executable, "-I", "-S", keeper.__file__, f"{keeper.FOLDER}{self._folder}", *words],
@@ -74,27 +72,27 @@ class PlannerProcess:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 env={**os.environ, ADDRESS_VARIABLE: self.address},
-                start_new_session=True,  # Ctrl-C is for us alone
+                start_new_session=True,  # Ctrl-C must reach this process only
             )
 
     def wait(self, timeout_s: float) -> None:
         """Wait until something listens at the address.
 
         Raises:
-            PlannerCrashedError: the command ended before.
-            PlannerTimeoutError: it took too long.
+            PlannerCrashedError: the command ended first.
+            PlannerTimeoutError: nothing listens after *timeout_s*.
         """
-        until = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s
         while not self._socket.exists():
             if self._keeper.poll() is not None:
-                raise PlannerCrashedError(f"{self.who}: its command {self.ended()}{self._last_line()}")
-            if time.monotonic() > until:
+                raise PlannerCrashedError(f"{self.who}: its command {self.how_ended()}{self._last_line()}")
+            if time.monotonic() > deadline_s:
                 raise PlannerTimeoutError(f"{self.who}: its command opened no server within {timeout_s:g} s")
             time.sleep(_POLL_S)
 
-    def ended(self) -> str:
-        """Return how the command ended, as the end of a sentence; "" where it has not within some seconds."""
-        try:  # its input stays open: that it ends is what tells the keeper to end the command
+    def how_ended(self) -> str:
+        """Return how the command ended, as the end of a sentence; "" if it has not ended within some seconds."""
+        try:  # with its input left open: closing it would make the keeper end the command
             self._keeper.wait(timeout=_END_S)
         except subprocess.TimeoutExpired:
             return ""
@@ -102,25 +100,26 @@ class PlannerProcess:
         lines = self._keeper.stdout.read().decode().split()
         return how_it_ended(int(lines[-1])) if lines else "was lost"
 
-    def said(self) -> str:
-        """Return the end of what it wrote to its standard output and error."""
+    def output(self) -> str:
+        """Return the end of its standard output and error."""
         with contextlib.suppress(OSError):
             return self._log.read_bytes()[-_TAIL_BYTES:].decode(errors="replace").strip()
         return ""
 
     def trim_log(self) -> None:
-        """Start its log anew once it is long."""
+        """Empty its log once it is long."""
         with contextlib.suppress(OSError):
             if self._log.stat().st_size > _LOG_BYTES:
                 os.truncate(self._log, 0)
 
     def end(self) -> None:
-        """End it and all that it started."""
+        """End it and all processes that it started."""
         _log.info("ending the server at %s", self.address)
         self._finish()
 
     def _last_line(self) -> str:
-        lines = self.said().splitlines()
+        """Return the last line of its output, as the end of a sentence."""
+        lines = self.output().splitlines()
         return f", saying: {lines[-1].strip()[:300]}" if lines else ""
 
 
@@ -128,7 +127,7 @@ def split_command(command: str) -> list[str]:
     """Return the words of *command*, as a shell would split them.
 
     Raises:
-        ConfigError: a quotation mark is open, or there is no word.
+        ConfigError: a quotation mark is not closed, or there is no word.
     """
     try:
         words = shlex.split(command)
@@ -140,6 +139,7 @@ def split_command(command: str) -> list[str]:
 
 
 def _end(process: subprocess.Popen[bytes], folder: Path) -> None:
+    """Close the pipes of the keeper *process*, wait for its end, and remove *folder*."""
     for stream in (process.stdin, process.stdout):
         if stream is not None:
             stream.close()

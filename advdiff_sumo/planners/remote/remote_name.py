@@ -1,4 +1,4 @@
-"""Which targets are planners in processes of their own."""
+"""Recognise the names of targets that are planners in separate processes."""
 
 from advdiff_sumo.core.errors import ConfigError
 
@@ -11,10 +11,10 @@ def is_remote(name: str) -> bool:
 
 
 def check_slashes(name: str) -> None:
-    """Refuse an address without its slashes, which would be taken for a class of a module.
+    """Refuse a gRPC address without its slashes, which would be taken for a class in a module.
 
     Raises:
-        ConfigError: it is one.
+        ConfigError: *name* is such an address.
     """
     scheme = GRPC.rstrip("/")
     if name.startswith(scheme) and not name.startswith(GRPC):

@@ -1,4 +1,4 @@
-"""A planner that answers over gRPC, behind the same two methods as any other."""
+"""Drive the target by a planner that answers over gRPC."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ from advdiff_sumo.planners.remote.map_message import map_id_of, map_message
 from advdiff_sumo.planners.remote.planner_process import PlannerProcess, split_command
 from advdiff_sumo.planners.remote.remote_name import EXEC, GRPC
 
-_END_S, _REACH_S = 2.0, 10.0
+_END_S = 2.0  # deadline for the end of an episode
+_CONNECT_S = 10.0  # deadline to reach a server that runs already
 
 
 class RemoteOptions(Options):
     """Options of remote targets.
 
     Attributes:
-        plan_timeout_s: deadline of a plan, and of the end of an episode.
-        start_timeout_s: for a server that is started to come up (one that runs has 10 s), and to take the map and the
-            start of an episode.
+        plan_timeout_s: deadline for a plan, and for the end of an episode.
+        start_timeout_s: deadline for a server to start (10 s if it runs already), to load the map, and to start an
+            episode.
     """
 
     plan_timeout_s: float = Field(5.0, gt=0.0)
@@ -48,11 +49,11 @@ class RemoteOptions(Options):
 
 @dataclass(frozen=True)
 class RemoteEpisode:
-    """Memory of an episode on our side; the planner's own is in its server.
+    """Memory of an episode on this side; the planner's own memory is in its server.
 
     Attributes:
-        episode_id: name of the episode there.
-        wants_osi: whether its scenes hold OSI.
+        episode_id: id of the episode in the server.
+        wants_osi: whether scenes are sent with OSI.
     """
 
     episode_id: str
@@ -63,7 +64,7 @@ def remote_planner(name: str, options: Mapping[str, Any]) -> RemotePlanner:
     """Return the remote planner *name*; nothing is started or called yet.
 
     Raises:
-        ConfigError: the address, the command or an option cannot be used.
+        ConfigError: the address, the command or an option is invalid.
     """
     parsed = RemoteOptions.parse(options, f"options of target '{name}'")
     if name.startswith(EXEC):
@@ -77,7 +78,7 @@ def remote_planner(name: str, options: Mapping[str, Any]) -> RemotePlanner:
 
 
 class RemotePlanner:
-    """Speaks ``planner.proto``; a server of its own is started with the first episode and anew after a crash.
+    """A planner behind ``planner.proto``. A server started here starts with the first episode, and again after a crash.
 
     Attributes:
         name: ``grpc://HOST:PORT`` or ``exec:COMMAND``.
@@ -92,25 +93,25 @@ class RemotePlanner:
         self._wants_osi = False
 
     def check(self) -> None:
-        """Start the server, ask it who it is, and let it go again.
+        """Start the server, ask it for its description, and end it again.
 
         Raises:
-            ConfigError: there is none, or it speaks another version of the protocol.
+            ConfigError: it cannot be reached, or uses another version of the protocol.
         """
         try:
             self._open(patient=False)
         except EpisodeFailure as error:
             remedy = "correct the command" if self.name.startswith(EXEC) else "start it first"
-            there = not isinstance(error, PlannerCrashedError | PlannerTimeoutError)
-            raise ConfigError(str(error) if there else f"{error}; {remedy}") from error
+            is_reachable = not isinstance(error, PlannerCrashedError | PlannerTimeoutError)
+            raise ConfigError(str(error) if is_reachable else f"{error}; {remedy}") from error
         finally:
             self.close()
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> RemoteEpisode:
-        """Begin an episode; the server gets the map where it lacks it.
+        """Begin an episode; the map is sent if the server does not have it.
 
         Raises:
-            EpisodeFailure: the server does not come up, answers late, or its planner raised.
+            EpisodeFailure: the server does not start, answers late, or its planner raised.
         """
         seed = int(rng.integers(2**63))
         connection = self._open()
@@ -134,20 +135,20 @@ class RemotePlanner:
         """Return the server's plan.
 
         Raises:
-            EpisodeFailure: it is late, gone, no plan, or its planner raised.
+            EpisodeFailure: the server is late or gone, returned no plan, or its planner raised.
         """
         del road, rng
         if self._connection is None:
             raise PlannerCrashedError(f"{self._who}: its server has ended since the episode began")
         request = messages.PlanRequest(episode_id=memory.episode_id, scene=self._scene(scene, memory))
-        answer = self._call(self._connection, "MakePlan", request, self.options.plan_timeout_s)
+        response = self._call(self._connection, "MakePlan", request, self.options.plan_timeout_s)
         try:
-            return plan_of(answer), memory
+            return plan_of(response), memory
         except ValueError as error:
             raise PlanRefusedError(f"{self._who} {error}") from None
 
     def end(self, memory: RemoteEpisode, end: str, time_s: float, failure: str) -> None:
-        """Tell the server how the episode ended, if it is still there; what it says to that does not matter."""
+        """Tell the server how the episode ended, if it still runs; its response and its failures are ignored."""
         if self._connection is None:
             return
         outcome = messages.Outcome(episode_id=memory.episode_id, end=end, time_s=time_s, failure=failure)
@@ -157,7 +158,7 @@ class RemotePlanner:
             return
 
     def close(self) -> None:
-        """End the server that was started here, and hang up."""
+        """Close the connection, and end the server if it was started here."""
         if self._connection is not None:
             self._connection.close()
         if self._process is not None:
@@ -165,7 +166,7 @@ class RemotePlanner:
         self._connection = self._process = None
 
     def _open(self, patient: bool = True) -> Connection:
-        """Return the connection; where there is none yet *patient* waits for a server that is being started."""
+        """Return the connection, opened if need be; *patient*: wait for a server that is still starting."""
         if self._connection is not None:
             if self._process is not None:
                 self._process.trim_log()
@@ -185,8 +186,9 @@ class RemotePlanner:
         return self._connection
 
     def _describe(self, connection: Connection, wait: bool) -> None:
+        """Check the server's version of the protocol, and store whether it wants OSI."""
         request = messages.DescribeRequest(protocol_version=messages.VERSION)
-        timeout_s = self.options.start_timeout_s if self._process is not None else _REACH_S
+        timeout_s = self.options.start_timeout_s if self._process is not None else _CONNECT_S
         description = self._call(connection, "Describe", request, timeout_s, wait)
         if description.protocol_version < messages.VERSION:
             raise PlannerError(
@@ -197,6 +199,7 @@ class RemotePlanner:
         self._wants_osi = description.wants_osi
 
     def _scene(self, scene: Scene, episode: RemoteEpisode) -> Any:
+        """Return the message of *scene*, with OSI if the server wants it."""
         if not episode.wants_osi:
             return scene_message(scene)
         from advdiff_sumo.planners.remote.osi_ground_truth import ground_truth_bytes  # late: an extra
@@ -206,17 +209,18 @@ class RemotePlanner:
     def _call(
         self, connection: Connection, name: str, request: Any, timeout_s: float, wait: bool = False
     ) -> Any:
-        """Call, and let go of a server that is late or gone: the next episode gets a new one."""
+        """Call the server; close it if it is late or gone, so that the next episode starts a new one."""
         try:
             return connection.call(name, request, timeout_s, wait)
         except (PlannerTimeoutError, PlannerCrashedError) as error:
-            failure, output = self._told(error), self._process.said() if self._process is not None else ""
+            failure = self._with_exit(error)
+            output = self._process.output() if self._process is not None else ""
             self.close()
             raise failure from (PlannerSideError(output) if output else None)
 
-    def _told(self, error: EpisodeFailure) -> EpisodeFailure:
-        """Return *error* with how the server's process ended, where it is ours and has."""
+    def _with_exit(self, error: EpisodeFailure) -> EpisodeFailure:
+        """Return *error*, which says how the server's process ended if it was started here and has ended."""
         if self._process is None or not isinstance(error, PlannerCrashedError):
             return error
-        ended = self._process.ended()
-        return PlannerCrashedError(f"{self._who}: its server {ended}") if ended else error
+        exit_text = self._process.how_ended()
+        return PlannerCrashedError(f"{self._who}: its server {exit_text}") if exit_text else error

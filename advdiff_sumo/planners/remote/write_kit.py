@@ -1,4 +1,4 @@
-"""Writes the planner kit as a distribution of its own, for environments that cannot hold the rest of this package."""
+"""Write the planner kit as a distribution of its own, for environments that cannot hold this package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import advdiff_sumo
 from advdiff_sumo.core.errors import FileError, os_reason
 
-#: What a planner's server imports, relative to this package.
+#: Files that a planner's server imports, relative to this package.
 KIT_FILES = (
     *("__init__.py", "py.typed", "core/__init__.py"),
     *("core/arrays.py", "core/kinematic_states.py", "core/plan.py", "core/plan_form.py"),
@@ -38,7 +38,7 @@ def write_kit(folder: Path) -> list[Path]:
     """Write the kit into *folder*, which pip can install, and return the files.
 
     Raises:
-        FileError: it is there already and not empty, or cannot be written.
+        FileError: the folder exists and is not empty, or cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileError(folder, "is there already", "name a new folder")

@@ -1,6 +1,6 @@
-"""Sweeps: many episodes over workers that may die, with results that survive.
+"""Sweeps: many episodes, run by workers that may die, with results that are never lost.
 
-The package can be called: ``advdiff_sumo.sweep(…)`` is :func:`advdiff_sumo.api.sweep`, whose name it shares.
+The package can be called: ``advdiff_sumo.sweep(…)`` is :func:`advdiff_sumo.api.sweep`, which has the same name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 
 class _Callable(ModuleType):
-    """A module that is a function, too."""
+    """A module that can be called like a function."""
 
     def __call__(self, *args: Any, **options: Any) -> Any:
         """Run a sweep; see :func:`advdiff_sumo.api.sweep`."""

@@ -1,4 +1,4 @@
-"""Which kinds of attack a background can be asked for."""
+"""Find the kinds of attack that can be requested from a background."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _OPTION = "attack"
 
 
 def attack_kinds(background: str, options: dict[str, object]) -> tuple[str, ...]:
-    """Return the kinds of attack of *background* that go with its other *options*; none where it knows no kinds.
+    """Return the kinds of attack of *background* that are valid with its other *options*; () if it has no kinds.
 
-    They are the values that its option ``attack`` may have, "any" among them; one that is given is the only one.
+    They are the possible values of its option ``attack``, including "any". If the option is given, only its value.
     """
-    given = options.get(_OPTION, ANY)
-    if given != ANY:
-        return (str(given),)  # what somebody asked for
+    requested = options.get(_OPTION, ANY)
+    if requested != ANY:
+        return (str(requested),)  # the user's choice
     model = getattr(POLICIES.load(POLICIES.canonical(background)), "Options", None)
     if not (isinstance(model, type) and issubclass(model, Options) and _OPTION in model.model_fields):
         return ()
@@ -30,7 +30,7 @@ def attack_kinds(background: str, options: dict[str, object]) -> tuple[str, ...]
 
 
 def by_kind(cell: RunOptions) -> Iterator[RunOptions]:
-    """Yield *cell* with each kind of attack of its background; itself where there are none."""
+    """Yield *cell* once for each kind of attack of its background; *cell* itself if there are none."""
     kinds = attack_kinds(cell.background, cell.background_options)
     for kind in kinds:
         yield cell.model_copy(update={"background_options": {**cell.background_options, _OPTION: kind}})
@@ -39,6 +39,7 @@ def by_kind(cell: RunOptions) -> Iterator[RunOptions]:
 
 
 def _fits(model: type[Options], options: dict[str, object]) -> bool:
+    """Return whether *options* are valid for *model*."""
     try:
         model.parse(options, "options")
     except ConfigError:

@@ -1,7 +1,8 @@
-"""``--fail-if "valid_failure_rate > 0"``: comparisons of figures, and nothing else.
+"""Evaluate conditions such as ``--fail-if "valid_failure_rate > 0"``: comparisons of figures, and nothing else.
 
-Checked before the first episode, names included, and told apart at the end from a figure without a sample; evaluators
-such as simpleeval look at names when they evaluate, which here is after the night, and admit far more than comparisons.
+A condition, names included, is checked before the first episode. At the end, a figure without a sample is reported
+separately. Evaluators such as simpleeval check names only at the end, after hours of running, and allow far more
+than comparisons.
 """
 
 from __future__ import annotations
@@ -27,30 +28,30 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
 }
-_LONGEST = 500
+_MAX_LENGTH = 500
 
 
 class Undefined(Exception):  # noqa: N818 - a figure without a sample, not a fault
-    """A figure that decides, or a quotient, is undefined; the message says which."""
+    """A figure that the result depends on, or a quotient, is undefined; the message says which."""
 
 
 class Condition:
     """A condition over named figures: comparisons, ``and``, ``or``, ``not``, + − × / and numbers.
 
     Attributes:
-        text: as given.
-        names: figures that it asks for.
+        text: the text as given.
+        names: figures that it uses.
     """
 
     def __init__(self, text: str, names: frozenset[str]) -> None:
-        """Check *text*; *names* are the figures that there are.
+        """Check *text*; *names* are the available figures.
 
         Raises:
-            ConfigError: it is no condition, names an unknown figure, or divides by zero whatever the figures are.
+            ConfigError: it is no condition, uses an unknown figure, or always divides by zero.
         """
         self.text = text
-        if len(text) > _LONGEST:
-            raise ConfigError(f"--fail-if: longer than {_LONGEST} characters; split it")
+        if len(text) > _MAX_LENGTH:
+            raise ConfigError(f"--fail-if: longer than {_MAX_LENGTH} characters; split it")
         try:
             self._tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -59,10 +60,10 @@ class Condition:
         self.names = _names(self._tree)
 
     def holds(self, figures: Mapping[str, float | None]) -> bool:
-        """Return whether the condition is true of *figures*.
+        """Return whether the condition is true for *figures*.
 
         Raises:
-            Undefined: a figure that decides has no value, or is zero and divides.
+            Undefined: a figure that the result depends on has no value, or is a divisor of zero.
         """
         try:
             return bool(_value(self._tree, figures))
@@ -70,7 +71,7 @@ class Condition:
             raise Undefined(f"divides by zero, with {self.told(figures)}") from None
 
     def told(self, figures: Mapping[str, float | None]) -> str:
-        """Return the values of the figures that it asks for, as words; "" where it asks for none."""
+        """Return the values of its figures as text; "" if it uses none."""
         values = ((name, figures[name]) for name in sorted(self.names))
         return ", ".join(
             f"{name} is undefined" if value is None else f"{name} = {value:.4g}" for name, value in values
@@ -78,10 +79,12 @@ class Condition:
 
 
 def _names(tree: ast.AST) -> frozenset[str]:
+    """Return the names in *tree*."""
     return frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
 
 
 def _must_be_condition(node: ast.AST, text: str, names: frozenset[str]) -> None:
+    """Check that *node* is a comparison, or a logical combination of comparisons."""
     if isinstance(node, ast.BoolOp):
         for part in node.values:
             _must_be_condition(part, text, names)
@@ -95,6 +98,7 @@ def _must_be_condition(node: ast.AST, text: str, names: frozenset[str]) -> None:
 
 
 def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
+    """Check that *node* is a number, a known figure, or arithmetic of these."""
     if isinstance(node, ast.Name):
         if node.id not in names:
             raise ConfigError(f"--fail-if {text}: no figure '{node.id}'; {did_you_mean(node.id, names)}")
@@ -110,6 +114,7 @@ def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
 
 
 def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
+    """Return the value of *node*."""
     if isinstance(node, ast.BoolOp):
         parts = (_value(part, figures) for part in node.values)
         return all(parts) if isinstance(node.op, ast.And) else any(parts)
@@ -131,6 +136,7 @@ def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
 
 
 def _refused(text: str, problem: str) -> ConfigError:
+    """Return the error for a text that is no valid condition."""
     return ConfigError(
         f"--fail-if {text}: {problem}; write it like valid_failure_rate > 0 and episodes >= 100"
     )

@@ -1,4 +1,4 @@
-"""Puts the episodes of a sweep together in one file a table, in the sweep's order."""
+"""Write the episodes of a sweep into one file a table, in the sweep's order."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from advdiff_sumo.sweep.sweep_files import checksum_of, write_whole
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.table_writer import TableWriter
 
-_ROWS_TOGETHER = 100_000
-_SEAL = "tables.json"
+_ROWS_A_GROUP = 100_000
+_SEAL = "tables.json"  # checksums of the tables, and of the episodes in them
 
 
 def consolidate(store: Store, plan: SweepPlan) -> int:
-    """Write the tables of all episodes that are there; return how many are missing.
+    """Write the tables of all stored episodes; return the number of missing episodes.
 
-    The same episodes give the same bytes, whoever ran them and in whatever order; ``timing`` apart.
+    The same episodes give the same bytes, independent of workers and order; except for ``timing``.
 
     Raises:
         FileError: the tables cannot be written.
@@ -57,23 +57,25 @@ def consolidate(store: Store, plan: SweepPlan) -> int:
 
 
 def tables_of(store: Store, plan: SweepPlan) -> int:
-    """Make sure that the tables are there and whole; return how many episodes are missing.
+    """Make sure that the tables are complete; return the number of missing episodes.
 
-    They are put together again when one is missing or damaged, or when episodes have come or changed since.
+    They are written again if one is missing or damaged, or if episodes were added or changed since.
     """
     try:
         seal = json.loads((store.path / _SEAL).read_text(encoding="utf-8"))
-        whole = all(checksum_of(store.path / f"{n}.parquet") == seal["files"][n] for n in SWEEP_TABLES)
+        intact = all(
+            checksum_of(store.path / f"{name}.parquet") == seal["files"][name] for name in SWEEP_TABLES
+        )
     except (OSError, ValueError, KeyError, TypeError):
-        whole, seal = False, {}
+        intact, seal = False, {}
     missing = sum(not store.has(job.key) for job in plan.jobs)
-    if whole and seal.get("parts") == _parts(store, plan) and seal["missing"] == missing:
+    if intact and seal.get("parts") == _parts(store, plan) and seal["missing"] == missing:
         return missing
     return consolidate(store, plan)
 
 
 def tables_are_behind(store: Store) -> bool:
-    """Return whether the tables may lack an episode, by the times of the files: sooner known than by reading all."""
+    """Return whether the tables may lack an episode, by modification times, which is faster than reading."""
     try:
         sealed_ns = (store.path / _SEAL).stat().st_mtime_ns
     except OSError:
@@ -82,7 +84,7 @@ def tables_are_behind(store: Store) -> bool:
 
 
 def _parts(store: Store, plan: SweepPlan) -> str:
-    """Return the digest of the episodes that are there, in the sweep's order."""
+    """Return the digest of the stored episodes, in the sweep's order."""
     return digest([store.checksum(job.key) for job in plan.jobs])
 
 
@@ -98,32 +100,33 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
 
 
 def _rows(part: StoredEpisode, job: Job, plan: SweepPlan, folder: Path) -> dict[str, pa.Table]:
-    own = job_row(job, plan.options(job))
+    """Return the rows of one episode for each table of the sweep."""
+    job_values = job_row(job, plan.options(job))
     tables: dict[str, pa.Table] = {}
     for name, table in part.tables.items():
         columns = table.drop_columns(["episode"])
-        leading = own if name == "episodes" else {"episode": job.index}
-        tables[name] = _led(columns, leading, SWEEP_TABLES[name])
+        leading = job_values if name == "episodes" else {"episode": job.index}
+        tables[name] = _with_leading(columns, leading, SWEEP_TABLES[name])
     if part.failed is not None:
         command = f"advdiff-sumo replay {job.key} --sweep {shlex.quote(str(folder))}"
-        row = {**own, **vars(part.failed), "command": command}
+        row = {**job_values, **vars(part.failed), "command": command}
         tables["failures"] = table_of([row], FAILURE_COLUMNS)
     return tables
 
 
 def _writer(folder: Path, name: str) -> TableWriter:
-    return TableWriter(folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name]), _ROWS_TOGETHER)
+    return TableWriter(folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name]), _ROWS_A_GROUP)
 
 
-def _led(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Column]) -> pa.Table:
-    """Return *table* with the same *leading* values in front of each row."""
+def _with_leading(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[str, Column]) -> pa.Table:
+    """Return *table* with the same *leading* values at the beginning of each row."""
     schema = schema_of(columns)
-    n = table.num_rows
+    count = table.num_rows
     arrays = [
-        pa.array(np.full(n, value)) if isinstance(value, int) else pa.array([value] * n, pa.string())
+        pa.array(np.full(count, value)) if isinstance(value, int) else pa.array([value] * count, pa.string())
         for value in leading.values()
     ]
-    front = pa.table(arrays, names=list(leading))
+    result = pa.table(arrays, names=list(leading))
     for name in table.column_names:
-        front = front.append_column(name, table[name])
-    return upgraded(front, columns).select(schema.names).cast(schema)
+        result = result.append_column(name, table[name])
+    return upgraded(result, columns).select(schema.names).cast(schema)

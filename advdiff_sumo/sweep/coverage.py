@@ -1,4 +1,4 @@
-"""What was tried: attack × kind of junction × speed, and what has not been."""
+"""Count what a sweep has tried: attack × type of junction × speed."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from advdiff_sumo.metrics.severity import has_outcome
 
 Row: TypeAlias = Mapping[str, Any]
 
-#: Upper ends of the bands of the target's speed; the last one is open.
+#: Upper bounds of the bands of the target's speed; one more band is above the last.
 SPEED_BANDS_MPS = (5.0, 10.0, 15.0)
 
 
 @dataclass(frozen=True)
 class CoverageCell:
-    """One combination.
+    """One combination of attack, type of junction and speed.
 
     Attributes:
-        episodes: those with an outcome (finished, or failed after a collision) whose critical moment was of this kind.
-        collisions: in how many of these the target collided.
+        episodes: episodes with an outcome (finished, or failed after a collision) whose critical moment is in the cell.
+        collisions: those of them with a collision of the target.
     """
 
     episodes: int
@@ -30,12 +30,12 @@ class CoverageCell:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Counts of all combinations that could have come up.
+    """Counts of all combinations that were possible.
 
     Attributes:
-        attacks: asked for.
-        junctions: kinds of junction on the nets, and road.
-        cells: (attack, junction, band of speed) → counts; empty ones included.
+        attacks: requested attacks.
+        junctions: types of junction on the nets, and road.
+        cells: (attack, type of junction, band of speed) → counts; empty cells included.
     """
 
     attacks: tuple[str, ...]
@@ -56,12 +56,12 @@ def bands() -> tuple[str, ...]:
 
 
 def coverage(episodes: Sequence[Row], attacks: Sequence[str], junction_types: Sequence[str]) -> Coverage:
-    """Count the *episodes* with an outcome by attack, kind of junction and speed at their critical moment.
+    """Count the *episodes* with an outcome by attack, type of junction and speed at their critical moment.
 
     Args:
         episodes: rows of a sweep's ``episodes``.
-        attacks: those that were asked for.
-        junction_types: those that the nets have.
+        attacks: requested attacks.
+        junction_types: types of junction on the nets.
     """
     counting = [row for row in episodes if has_outcome(row) and row["critical_speed_mps"] is not None]
     names = tuple(dict.fromkeys(attacks))
@@ -76,5 +76,6 @@ def coverage(episodes: Sequence[Row], attacks: Sequence[str], junction_types: Se
 
 
 def _band(speed_mps: float) -> str:
-    place = sum(abs(speed_mps) >= end for end in SPEED_BANDS_MPS)
-    return bands()[place]
+    """Return the name of the band that holds *speed_mps*."""
+    band_index = sum(abs(speed_mps) >= end for end in SPEED_BANDS_MPS)
+    return bands()[band_index]

@@ -1,4 +1,4 @@
-"""Who does the tasks: this process, or processes of this machine; Ray is in a module of its own."""
+"""Execute tasks in this process or in processes of this machine; Ray is in a separate module."""
 
 from __future__ import annotations
 
@@ -39,46 +39,46 @@ from advdiff_sumo.sweep.worker_sandbox import (
 from advdiff_sumo.traffic.policy_registry import POLICIES
 
 _WORKER = "pebble_pool_worker"  # the name that pebble gives its processes
-_LOOK_S = 1.0  # between looks at where the workers stand
-_GRACE_S = 10.0  # a worker ends itself at its time limit; this much later it is ended from outside
+_POLL_S = 1.0  # between checks of the workers' progress
+_GRACE_S = 10.0  # a worker that does not end itself at its time limit is ended so much later
 
 
 class Executor(Protocol):
-    """Does tasks, as many at once as it has slots.
+    """Executes tasks, as many at once as it has slots.
 
-    Every executor gives the same outcomes for the same tasks, in whatever order.
+    All executors return the same outcomes for the same tasks, in any order.
 
     Attributes:
-        slots: how many tasks it can hold.
+        slots: number of tasks that it can hold.
     """
 
     slots: int
 
     def __enter__(self) -> Self:
-        """Start; nothing runs before."""
+        """Start the workers."""
         ...
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        """End all workers; at once where an error or Ctrl-C is the reason."""
+        """End all workers; immediately after an error or Ctrl-C."""
         ...
 
     def submit(self, task: Task) -> None:
-        """Take *task*; never more of them than there are slots."""
+        """Accept *task*; there must be a free slot."""
         ...
 
     def wait(self) -> Outcome:
-        """Return the outcome of some task, as soon as there is one."""
+        """Wait for any task, and return its outcome."""
         ...
 
 
 def outcome_of(task: Task, executor: Executor) -> Outcome:
-    """Return what comes of *task* alone."""
+    """Execute a single task and return its outcome."""
     executor.submit(task)
     return executor.wait()
 
 
 def outcomes(tasks: Iterable[Task], executor: Executor) -> Iterator[Outcome]:
-    """Yield what comes of *tasks*, as they finish."""
+    """Yield the outcomes of *tasks* as they finish."""
     waiting, running = deque(tasks), 0
     while waiting or running:
         while waiting and running < executor.slots:
@@ -89,10 +89,10 @@ def outcomes(tasks: Iterable[Task], executor: Executor) -> Iterator[Outcome]:
 
 
 class SerialExecutor(AbstractContextManager["SerialExecutor"]):
-    """Does one task after the other in this process: for debugging, without limits or protection.
+    """Executes one task after the other in this process: for debugging, without limits or protection.
 
     Attributes:
-        run: that all episodes are of, with its planner, policy and window; None: they are made of each task's options.
+        run: run of all episodes, with its planner, policy and window; None: prepared from each task's options.
     """
 
     slots = 1
@@ -102,25 +102,25 @@ class SerialExecutor(AbstractContextManager["SerialExecutor"]):
         self._tasks: deque[Task] = deque()
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        """Let the planner go where something outside this process stands behind it."""
+        """Close the planner if it uses a resource outside this process."""
         if self.run is not None and isinstance(self.run.target, Served):
             self.run.target.close()
 
     def submit(self, task: Task) -> None:
-        """Take *task*."""
+        """Accept *task*."""
         self._tasks.append(task)
 
     def wait(self) -> Outcome:
-        """Do the task that was taken first."""
+        """Perform the task that was submitted first."""
         with one_thread():
             return perform(self._tasks.popleft(), run=self.run)
 
 
 class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
-    """Processes of this machine; one may crash, hang or be killed, and only its task is lost.
+    """Processes of this machine. If one crashes, hangs or is killed, only its task is lost.
 
-    Each worker has a pool of its own: in a shared one a worker that dies while it holds the lock of the common
-    pipe stops all others.
+    Each worker has a pool of its own: in a shared pool, a worker that dies while holding the lock of the common pipe
+    would block all others.
     """
 
     def __init__(self, workers: int, limits: WorkerLimits) -> None:
@@ -141,13 +141,13 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         self._pools.clear()
 
     def submit(self, task: Task) -> None:
-        """Give *task* to a free worker."""
+        """Pass *task* to a free worker."""
         busy = {slot for slot, _ in self._running.values()}
         slot = next(k for k in range(self.slots) if k not in busy)
         timeout = self.limits.timeout_s + _GRACE_S if math.isfinite(self.limits.timeout_s) else None
         try:
             future = self._pool(slot).schedule(run_sandboxed, (task, self.limits), timeout=timeout)
-        except RuntimeError:  # the worker was killed while it was idle, and its pool gave up
+        except RuntimeError:  # the worker was killed while idle, and its pool stopped
             self._discard(slot)
             future = self._pool(slot).schedule(run_sandboxed, (task, self.limits), timeout=timeout)
         self._running[future] = slot, task
@@ -156,9 +156,9 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         """Wait for any worker."""
         done: set[Any] = set()
         while not done:
-            done, _ = wait(self._running, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            done, _ = wait(self._running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             self._end_overdue()
-        future = min(done, key=lambda f: self._running[f][0])
+        future = min(done, key=lambda candidate: self._running[candidate][0])
         slot, task = self._running.pop(future)
         limits = self.limits
         try:
@@ -178,23 +178,25 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         return outcome
 
     def _end_overdue(self) -> None:
-        """End workers that have been at one plan, or one step of SUMO, for too long."""
+        """End workers that have spent too long on one plan or one step of SUMO."""
         for _, task in self._running.values():
             beat = Heartbeat.read(self.limits.heartbeat_of(task.key))
-            now = time.monotonic()
-            if beat is None or now - beat.since_s <= self.limits.longest_s(beat.phase):
+            now_s = time.monotonic()
+            if beat is None or now_s - beat.since_s <= self.limits.longest_s(beat.phase):
                 continue
-            asked = self._overdue.setdefault(task.key, now)
-            with contextlib.suppress(ProcessLookupError):  # it says where it is stuck; or else it is killed
-                os.kill(beat.pid, signal.SIGABRT if now - asked < _GRACE_S else signal.SIGKILL)
+            first_signal_s = self._overdue.setdefault(task.key, now_s)
+            # SIGABRT makes it write its stack; SIGKILL if it survives that
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(beat.pid, signal.SIGABRT if now_s - first_signal_s < _GRACE_S else signal.SIGKILL)
 
     @staticmethod
     def workers() -> list[int]:
-        """Return the process numbers of the workers that are there now."""
-        alive = (w for w in multiprocessing.active_children() if w.name == _WORKER)
+        """Return the process ids of the living workers."""
+        alive = (process for process in multiprocessing.active_children() if process.name == _WORKER)
         return sorted(worker.pid for worker in alive if worker.pid is not None)
 
     def _pool(self, slot: int) -> Any:
+        """Return the pool of *slot*, started if need be."""
         if slot not in self._pools:
             limits = self.limits
             self._pools[slot] = ProcessPool(
@@ -207,6 +209,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         return self._pools[slot]
 
     def _discard(self, slot: int) -> None:
+        """Stop the pool of *slot*."""
         pool = self._pools.pop(slot)
         pool.stop()
         pool.join()
@@ -215,16 +218,16 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
 def call_in_worker(
     name: str, call: Callable[[], bytes], limits: WorkerLimits, hear: Callable[[str], None]
 ) -> Outcome:
-    """Return what comes of *call* in a process of its own.
+    """Call *call* in a separate process and return the outcome.
 
     Args:
-        name: of the task.
-        call: what is called; what it returns is the outcome's product.
-        limits: of the worker.
+        name: key of the task.
+        call: the function; what it returns is the product.
+        limits: limits of the worker.
         hear: called with what was printed.
 
     Raises:
-        ConfigError: the input cannot be used.
+        ConfigError: the input is unusable.
     """
     with ProcessExecutor(1, limits) as executor:
         outcome = outcome_of(CallTask(name, call), executor)
@@ -236,14 +239,14 @@ def call_in_worker(
 
 
 def prepare_workers(modules: Iterable[str] = ()) -> BaseContext:
-    """Let the process that workers come from start now, and import while this one goes on; return what makes workers.
+    """Return the context that starts workers; its server process starts now and imports modules in the background.
 
     Args:
-        modules: that workers will need, beside those of built-in planners and policies that this process has loaded.
+        modules: modules that workers need, besides those of built-in planners and policies loaded in this process.
     """
     builtins = {
         registry.builtin_module(name) for registry in (TARGETS, POLICIES) for name in registry.builtins
     }
     loaded = sorted(module for module in builtins if module in sys.modules)
-    # every worker filters speeds by scipy.signal, which this process need not wait for
+    # every worker needs scipy.signal to filter speeds; this process need not wait for its import
     return worker_context(["advdiff_sumo.sweep.worker_sandbox", "scipy.signal", *modules, *loaded])

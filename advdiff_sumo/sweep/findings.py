@@ -1,4 +1,4 @@
-"""Near-duplicates among collisions: a thousand hits become a dozen findings, those that count first."""
+"""Cluster near-duplicate collisions: a thousand collisions become a dozen findings, the most important first."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from advdiff_sumo.metrics.severity import is_valid_failure, worst_first
 
 Row: TypeAlias = Mapping[str, Any]
 
-#: Two collisions of one finding never differ by more than these.
+#: Tolerances: two collisions of one finding never differ by more.
 IMPACT_M = 3.0
 APPROACH_M = 10.0
 SPEED_MPS = 6.0
 HEADING_RAD = 0.7853981633974483  # 45°
-_COARSE = 0.25  # of a tolerance: collisions that agree so far are one point
-_MOST_POINTS = 5000
+_FIRST_GRID = 0.25  # share of a tolerance within which collisions count as one point, if there are too many
+_MAX_POINTS = 5000
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Collisions of one type that look alike.
+    """Collisions of one type with similar geometry.
 
     Attributes:
-        type: kind of collision.
-        junction_type: where: SUMO's type of junction, or road.
-        episodes: numbers of the episodes, worst first.
-        worst: row of the worst of them, which stands for all.
-        valid: how many of them are valid failures.
-        at_fault: how many by who caused it.
-        targets: how many by target and its options as JSON.
+        type: type of collision.
+        junction_type: SUMO's type of junction, or road.
+        episodes: numbers of the episodes, the worst first.
+        worst: row of the worst episode, which represents the finding.
+        valid: number of valid failures.
+        at_fault: number of collisions by party at fault.
+        targets: number of collisions by target and its options as JSON.
     """
 
     type: str
@@ -48,10 +48,10 @@ class Finding:
 
 
 def findings(episodes: Sequence[Row]) -> list[Finding]:
-    """Cluster the target's collisions by type, kind of junction and geometry; that of the most valid failures first.
+    """Cluster the target's collisions by type, type of junction and geometry; the one with most valid failures first.
 
-    Complete linkage under the Chebyshev distance of impact point, approach and speeds, each over its tolerance:
-    within a finding no two collisions differ by more than the tolerances.
+    Complete linkage under the Chebyshev distance of impact point, approach and speeds, each divided by its tolerance.
+    Within a finding no two collisions differ by more than the tolerances.
 
     Args:
         episodes: rows of a sweep's ``episodes``.
@@ -66,6 +66,7 @@ def findings(episodes: Sequence[Row]) -> list[Finding]:
 
 
 def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:
+    """Return the finding of *members*, which are sorted from worst to least."""
     return Finding(
         *kind,
         episodes=tuple(int(row["episode"]) for row in members),
@@ -79,34 +80,34 @@ def _finding(kind: tuple[str, str], members: list[Row]) -> Finding:
 
 
 def _clusters(rows: list[Row]) -> Iterator[list[Row]]:
-    """Yield rows that belong together, each in the order given."""
+    """Yield the clusters of *rows*; each keeps their order."""
     features = np.array([_features(row) for row in rows])
-    points, member_of = _points(features)
+    points, point_of_row = _points(features)
     labels = np.ones(len(points), dtype=np.int64)
     if len(points) > 1:
         tree = linkage(points, method="complete", metric="chebyshev")
         labels = fcluster(tree, t=1.0, criterion="distance").astype(np.int64)
-    label_of_row = labels[member_of]
-    for label in sorted(set(label_of_row.tolist()), key=label_of_row.tolist().index):
-        yield [row for row, own in zip(rows, label_of_row, strict=True) if own == label]
+    row_labels = labels[point_of_row]
+    for label in sorted(set(row_labels.tolist()), key=row_labels.tolist().index):
+        yield [row for row, row_label in zip(rows, row_labels, strict=True) if row_label == label]
 
 
 def _points(features: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return distinct points and which one each row is; coarser where there are very many."""
-    points, member_of = np.unique(features, axis=0, return_inverse=True)
-    coarse = _COARSE
-    while len(points) > _MOST_POINTS:
-        points, member_of = np.unique(np.round(features / coarse) * coarse, axis=0, return_inverse=True)
-        coarse *= 2.0
-    return points, member_of.reshape(-1).astype(np.int64)
+    """Return distinct points and the index of each row's point; on a grid if there are too many points."""
+    points, point_of_row = np.unique(features, axis=0, return_inverse=True)
+    grid = _FIRST_GRID
+    while len(points) > _MAX_POINTS:
+        points, point_of_row = np.unique(np.round(features / grid) * grid, axis=0, return_inverse=True)
+        grid *= 2.0
+    return points, point_of_row.reshape(-1).astype(np.int64)
 
 
 def _features(row: Row) -> list[float]:
-    """Return the geometry in tolerances; what is undefined is undefined for all of a type or counts as 0."""
+    """Return the geometry of a collision divided by the tolerances; undefined values count as 0."""
     yaw = row["approach_yaw_rad"]
     chord = 2.0 * np.sin(HEADING_RAD / 2.0)
-    turned = (0.0, 0.0) if yaw is None else (np.cos(yaw) / chord, np.sin(yaw) / chord)
-    lengths = {
+    heading = (0.0, 0.0) if yaw is None else (np.cos(yaw) / chord, np.sin(yaw) / chord)
+    units = {
         "impact_ahead_m": IMPACT_M,
         "impact_left_m": IMPACT_M,
         "approach_ahead_m": APPROACH_M,
@@ -114,4 +115,4 @@ def _features(row: Row) -> list[float]:
         "target_speed_mps": SPEED_MPS,
         "partner_speed_mps": SPEED_MPS,
     }
-    return [*(float(row[name] or 0.0) / unit for name, unit in lengths.items()), *map(float, turned)]
+    return [*(float(row[name] or 0.0) / unit for name, unit in units.items()), *map(float, heading)]

@@ -1,4 +1,4 @@
-"""Keys out of content: the same net, scene, target, background, options and seed give the same key anywhere."""
+"""Compute keys from content: equal net, scene, target, background, options and seed give equal keys anywhere."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from advdiff_sumo.models.shipped_weights import WEIGHTS
 from advdiff_sumo.sim.demand_files import DemandFiles
 from advdiff_sumo.sim.run_episodes import RunOptions
 
-#: Digits of a key; 96 bits, so that a billion episodes do not meet by chance.
+#: Digits of a key; 96 bits, so that even a billion episodes have different keys.
 KEY_DIGITS = 24
+#: Options ``sim`` that seed scenes depend on.
 _SCENE_SIM = ("step_s", "model_step_s", "history_s", "lateral_resolution_m", "record_radius_m")
 _LOG_SUFFIXES = (".json", ".pkl")
-_SENSORS = {"samples", "sweeps"}
+_SENSORS = {"samples", "sweeps"}  # folders of sensor data in driving logs
 
 
 def canonical(value: Any) -> str:
-    """Return a plain value as JSON in its one form: keys sorted, no blanks."""
+    """Return a plain value as JSON in a unique form: sorted keys, no blanks."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
 
 
 def digest(value: Any) -> str:
-    """Return the digest of a plain value; the order of keys does not matter."""
+    """Return the digest of a plain value, independent of the order of keys."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()[:KEY_DIGITS]
 
 
@@ -46,7 +47,7 @@ def file_digest(*paths: Path) -> str:
 
 
 def net_files(net: str) -> tuple[Path, ...]:
-    """Return the net's file and, where there is one, that of its drivable area.
+    """Return the file of a net and, if there is one, that of its drivable area.
 
     Raises:
         NetError: there is no such net.
@@ -57,18 +58,20 @@ def net_files(net: str) -> tuple[Path, ...]:
 
 
 def source_digest(options: RunOptions, demand: DemandFiles | None) -> str:
-    """Return the digest of all that seed scenes are made of, their number apart.
+    """Return the digest of all that seed scenes depend on, except their number.
 
     Args:
-        options: of the run.
-        demand: what ``options.demand`` names, if anything.
+        options: options of the run.
+        demand: files of ``options.demand``; None if it is empty.
     """
     files = net_files(options.net)
     dumped = options.model_dump(mode="json")
     return digest(
         {
-            "net": [files[0].name, _kept(files)],
-            "demand": [] if demand is None else [demand.begin_s, *(_kept((path,)) for path in demand.files)],
+            "net": [files[0].name, _cached(files)],
+            "demand": []
+            if demand is None
+            else [demand.begin_s, *(_cached((path,)) for path in demand.files)],
             "log": _log_digest(options.scenes) if options.scenes else "",
             "scene": dumped["scene"],
             "sim": {name: dumped["sim"][name] for name in _SCENE_SIM},
@@ -79,58 +82,60 @@ def source_digest(options: RunOptions, demand: DemandFiles | None) -> str:
 
 
 def cell_digest(options: RunOptions, source: str) -> str:
-    """Return the digest of a run's options, its number of episodes apart; *source* is that of its scenes.
+    """Return the digest of a run's options, except its number of episodes; *source*: digest of its scenes.
 
-    Files that they name, such as weights, count by their content.
+    Files named in the options, such as weights, count by their content.
     """
     dumped = options.model_dump(mode="json")
     names = ("target", "target_options", "background", "background_options", "sim", "horizon_s", "seed")
     parts = {"source": source, **{name: dumped[name] for name in names}}
     files = [
-        _kept((p,)) for own in (options.target_options, options.background_options) for p in files_of(own)
+        _cached((p,)) for own in (options.target_options, options.background_options) for p in files_of(own)
     ]
     return digest({**parts, "files": files} if files else parts)
 
 
-def files_of(own: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Return the files that the options *own* name; of the folder of a training, that of its networks."""
-    texts = (value for _, value in sorted(own.items()) if isinstance(value, str))
+def files_of(options: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Return the files named in *options*; for a folder of a training, its file of networks."""
+    texts = (value for _, value in sorted(options.items()) if isinstance(value, str))
     return tuple(file for text in texts for file in _file_named(text))
 
 
 def _file_named(text: str) -> Iterator[Path]:
-    if os.path.isfile(text):  # noqa: PTH113 - Path's raises for long texts
+    """Yield the file that *text* names, if it names one."""
+    if os.path.isfile(text):  # noqa: PTH113 - Path.is_file raises for long texts
         yield Path(text)
     elif os.path.isdir(text) and (weights := Path(text) / WEIGHTS).is_file():  # noqa: PTH112 - as above
         yield weights
 
 
-def _kept(files: tuple[Path, ...]) -> str:
-    """Return the digest of *files*, worked out again when one of them has changed."""
+def _cached(files: tuple[Path, ...]) -> str:
+    """Return the digest of *files*, cached until one of them changes."""
     return _digest_of(files, tuple((stat.st_mtime_ns, stat.st_size) for stat in map(Path.stat, files)))
 
 
 @lru_cache(maxsize=256)
-def _digest_of(files: tuple[Path, ...], states: tuple[tuple[int, int], ...]) -> str:  # noqa: ARG001 - of the cache's key
+def _digest_of(files: tuple[Path, ...], states: tuple[tuple[int, int], ...]) -> str:  # noqa: ARG001 - part of the cache's key
     return file_digest(*files)
 
 
 @lru_cache(maxsize=16)
 def _log_digest(root: str) -> str:
-    """Return the digest of a driving log: names and sizes of its tables or records, which are large."""
+    """Return the digest of a driving log: names and sizes of its files, as their contents are large."""
     return digest([[name, size] for name, size in sorted(_log_files(Path(root)))])
 
 
 def _log_files(root: Path) -> Iterator[tuple[str, int]]:
+    """Yield name and size of each file of a driving log that readers use."""
     if root.is_file():
         yield root.name, root.stat().st_size
-    for folder, inner, names in os.walk(root):
-        inner[:] = [name for name in inner if name not in _SENSORS]
+    for folder, subfolders, names in os.walk(root):
+        subfolders[:] = [name for name in subfolders if name not in _SENSORS]
         for path in (Path(folder, name) for name in names):
-            if path.name.endswith(_LOG_SUFFIXES) or fnmatch(path.name, SCENARIOS) or _read_at(root, path):
+            if path.name.endswith(_LOG_SUFFIXES) or fnmatch(path.name, SCENARIOS) or _is_log(root, path):
                 yield path.relative_to(root).as_posix(), path.stat().st_size
 
 
-def _read_at(root: Path, path: Path) -> bool:
-    """Return whether *path* is read as a log because it lies in *root* itself: a scenario, or the states of a run."""
+def _is_log(root: Path, path: Path) -> bool:
+    """Return whether *path* is a log because it lies directly in *root*: a scenario, or the states of a run."""
     return path.parent == root and (path.name == "states.parquet" or is_scenario(path))

@@ -1,4 +1,4 @@
-"""What a sweep will do: every check is made and every key known before any worker starts."""
+"""Plan a sweep: make all checks and compute all keys before any worker starts."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Job:
     """One episode.
 
     Attributes:
-        key: of its content.
-        index: place in the sweep.
-        cell: the run that it belongs to.
-        number: of the episode in that run.
-        batch: key of the batch that its seed scene is in.
-        place: of the scene in that batch.
-        scene_key: of the seed scene; the same for all targets and backgrounds.
+        key: digest of all that the episode depends on; in a run, its number.
+        index: index in the sweep.
+        cell: index of its run.
+        number: number of the episode in that run.
+        batch: key of the batch with its seed scene.
+        place: index of the scene in that batch.
+        scene_key: key of the seed scene; the same for all targets and backgrounds.
     """
 
     key: str
@@ -61,12 +61,12 @@ class SweepPlan:
     """A checked sweep.
 
     Attributes:
-        spec: as its file says.
-        cells: the runs that it is made of.
+        spec: content of the sweep file.
+        cells: the runs of the sweep.
         jobs: all episodes in the sweep's order.
-        batches: the seed scenes that they need, by key.
-        junction_types: kinds of junction that a car can meet on the nets.
-        wanted: episodes that are run; of a diverse sweep fewer than there are jobs.
+        batches: the batches of seed scenes by key.
+        junction_types: types of junction on the nets that a car can drive over.
+        wanted: number of episodes to run; in a diverse sweep fewer than there are jobs.
     """
 
     spec: SweepSpec
@@ -104,43 +104,43 @@ class SweepPlan:
 
 
 def plan_sweep(spec: SweepSpec, *, drives: bool = True, places: bool = False) -> SweepPlan:
-    """Check *spec* and lay out its episodes; reads nets, demand and logs and makes each target once.
+    """Check *spec* and plan its episodes. Nets, demand and logs are read, and each target is made once.
 
     Args:
-        spec: what is asked.
-        drives: episodes are to be run; False: neither target nor background is made, imported or reached, but for the
-            background of a diverse sweep, which is imported to learn its kinds of attack.
-        places: what is wrong with a driver or background of a case begins with its place in the sweep file, "cases.0".
+        spec: the requested sweep.
+        drives: whether episodes are to be run. If False, no target or background is made, imported or connected to,
+            except that the background of a diverse sweep is imported for its kinds of attack.
+        places: whether messages about the target or background of a case begin with its place in the file, "cases.0".
 
     Raises:
-        InputError: one of its kinds; a sentence that names the culprit.
+        InputError: one of its subclasses; a sentence that names the culprit.
     """
-    check = _Check(drives, places)
-    asked = tuple(spec.placed_cells())
-    cells = tuple(check.cell(*placed) for placed in (_by_kind(asked) if spec.diverse else asked))
+    checks = _Check(drives, places)
+    entries = tuple(spec.placed_cells())
+    cells = tuple(checks.cell(*placed) for placed in (_by_kind(entries) if spec.diverse else entries))
     jobs: list[Job] = []
     batches: dict[str, Batch] = {}
     counts: dict[str, int] = {}
     for cell, options in enumerate(cells):
-        source = source_digest(options, check.demand(options))
-        own = cell_digest(options, source)
-        if own in counts:
+        source = source_digest(options, checks.demand(options))
+        cell_key = cell_digest(options, source)
+        if cell_key in counts:
             raise ConfigError(
                 f"two entries of the sweep are the same: {options.target} with {options.background} on "
                 f"{options.net}, seed {options.seed}; leave one out"
             )
-        counts[own] = cell
+        counts[cell_key] = cell
         for number in range(options.episodes):
             batch, place = _batch(options, source, number, batches)
             scene_key = digest([source, "scene", number])
-            key = digest([own, "episode", number])
+            key = digest([cell_key, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
-    wanted = sum(options.episodes for _, options in asked)
-    return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(check.roads), wanted)
+    wanted = sum(options.episodes for _, options in entries)
+    return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(checks.roads), wanted)
 
 
 def plan_run(run: Run) -> SweepPlan:
-    """Lay a run out as a sweep of one cell; its episodes are called by their numbers."""
+    """Plan a run as a sweep of one cell; the keys of its episodes are their numbers."""
     options = RunOptions.model_validate(run.settings["options"])
     source = _source_of(run, options)
     batches: dict[str, Batch] = {}
@@ -149,49 +149,51 @@ def plan_run(run: Run) -> SweepPlan:
         batch, place = _batch(options, source, number, batches)
         scene_key = digest([source, "scene", number])
         jobs.append(Job(run_key(number), number, 0, number, batch, place, scene_key))
-    own = options.model_dump(exclude={"horizon_s", "sim", "scene"})
+    case_values = options.model_dump(exclude={"horizon_s", "sim", "scene"})
     spec = SweepSpec(
         episodes=options.episodes,
         horizon_s=options.horizon_s,
         seeds=(options.seed,),
         sim=options.sim,
         scene=options.scene,
-        cases=(Case(**own),),
+        cases=(Case(**case_values),),
     )
     return SweepPlan(spec, (options,), tuple(jobs), batches, car_junctions([run.road]), len(jobs))
 
 
 def _by_kind(cells: Iterable[tuple[str, RunOptions]]) -> list[tuple[str, RunOptions]]:
-    """Return *cells*, each after its place in the file, with every kind of attack.
+    """Return *cells*, each with its place in the file, once for every kind of attack.
 
     Raises:
-        ConfigError: there is but one kind for each.
+        ConfigError: no background has more than one kind.
     """
-    split = [[(where, kind) for kind in by_kind(cell)] for where, cell in cells]
-    if all(len(some) == 1 for some in split):
+    variants_by_cell = [[(place, kind) for kind in by_kind(cell)] for place, cell in cells]
+    if all(len(variants) == 1 for variants in variants_by_cell):
         raise ConfigError(
             "a diverse sweep chooses among kinds of attack, and no background here has several; "
             "take scripted or diffusion without the option attack, or leave --diverse out"
         )
-    return [cell for some in split for cell in some]
+    return [cell for variants in variants_by_cell for cell in variants]
 
 
 def run_key(number: int) -> str:
-    """Return what episode *number* of a run is called."""
+    """Return the key of episode *number* of a run."""
     return f"{number:06d}"
 
 
 def run_inputs(run: Run) -> str:
-    """Return the digest of all that the episodes of a run are made of, the contents of its files included."""
+    """Return the digest of all that the episodes of a run depend on, including the contents of files."""
     options = RunOptions.model_validate(run.settings["options"])
     return cell_digest(options, _source_of(run, options))
 
 
 def _source_of(run: Run, options: RunOptions) -> str:
+    """Return the digest of all that the seed scenes of *run* depend on."""
     return source_digest(options, run.demand)
 
 
 def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
+    """Return the key of the batch with seed scene *number*, and the scene's index in it; extend *batches* if needed."""
     stretch, place = (0, number) if options.scenes else divmod(number, options.scene.scenes_per_warmup)
     key = digest([source, "batch", stretch])
     if key not in batches or batches[key].scenes <= place:
@@ -200,25 +202,25 @@ def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Bat
 
 
 def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:
-    """Return the kinds of junction that a car can meet on *roads*."""
+    """Return the types of junction on *roads* that a car can drive over."""
     kinds = (junction.type for road in roads for junction in road.junctions.values())
     return tuple(sorted(set(kinds) - {"dead_end", "internal"}))
 
 
 class _Check:
-    """Checks each net, target and background once, however many runs share it."""
+    """Checks each net, target and background once, no matter how many runs share it."""
 
     def __init__(self, drives: bool, places: bool) -> None:
         self._drives, self._places = drives, places
         self._roads: dict[str, RoadMap] = {}
-        self._known: dict[str, Any] = {}
+        self._checked: dict[str, Any] = {}
         self._demands: dict[tuple[str, str], DemandFiles] = {}
 
     def cell(self, where: str, options: RunOptions) -> RunOptions:
-        """Return *options* as they are written down: names as registered, files by full path.
+        """Return *options* in canonical form: names as registered, files with full paths.
 
         Raises:
-            InputError: one of its kinds; a sentence that names the culprit.
+            InputError: one of its subclasses; a sentence that names the culprit.
         """
         if self._drives:
             try:
@@ -230,37 +232,38 @@ class _Check:
         if options.net not in self._roads:
             self._roads[options.net] = read_road(options.net)
         if options.scenes:
-            self._once(["log", options.scenes], lambda o: open_log(Path(o.scenes)), options)
-        fixed: dict[str, Any] = {
+            self._once(["log", options.scenes], lambda opts: open_log(Path(opts.scenes)), options)
+        canonical: dict[str, Any] = {
             "net": net_name(options.net),
             "target": self._registered(TARGETS, options.target),
             "background": self._registered(POLICIES, options.background),
             **{
-                k: str(Path(getattr(options, k)).resolve())
-                for k in ("demand", "scenes")
-                if getattr(options, k)
+                name: str(Path(getattr(options, name)).resolve())
+                for name in ("demand", "scenes")
+                if getattr(options, name)
             },
         }
-        written = options.model_copy(update=fixed)
-        self._roads[written.net] = self._roads[options.net]
-        return written
+        result = options.model_copy(update=canonical)
+        self._roads[result.net] = self._roads[options.net]
+        return result
 
     def _check_drivers(self, options: RunOptions) -> None:
+        """Check target and background, each by itself and both together."""
         target: Target = self._once(["target", options.target, options.target_options], target_of, options)
         self._once(["background", options.background, options.background_options], policy_of, options)
         check_together(options, target)
 
-    def _registered(self, names: Registry, name: str) -> str:
-        """Return *name* as it is registered; where nothing is driven, one that no longer is stays as it is."""
+    def _registered(self, registry: Registry, name: str) -> str:
+        """Return the registered form of *name*; an unknown name is an error only if episodes are to be run."""
         try:
-            return names.canonical(name)
+            return registry.canonical(name)
         except InputError:
             if self._drives:
                 raise
             return name
 
     def demand(self, options: RunOptions) -> DemandFiles | None:
-        """Return the files behind the demand of *options*, held against the net once; None where there is none."""
+        """Return the demand files of *options*, checked against the net once; None without demand."""
         key = (options.net, options.demand)
         if options.demand and key not in self._demands:
             self._demands[key] = read_demand(Path(options.demand), self._roads[options.net])
@@ -271,16 +274,17 @@ class _Check:
         """The nets."""
         return self._roads.values()
 
-    def _once(self, what: list[Any], make: Callable[[RunOptions], Any], options: RunOptions) -> Any:
-        key = digest(what)
-        if key not in self._known:
-            driver = make(options)
-            self._known[key] = driver if what[0] == "target" else None
-        return self._known[key]
+    def _once(self, content: list[Any], make: Callable[[RunOptions], Any], options: RunOptions) -> Any:
+        """Call *make* for the first *options* with this content; return the target, or None for anything else."""
+        key = digest(content)
+        if key not in self._checked:
+            made = make(options)
+            self._checked[key] = made if content[0] == "target" else None
+        return self._checked[key]
 
 
 def sweep_notes(plan: SweepPlan) -> Iterator[str]:
-    """Yield sentences on what is odd in the nets, and on what of logs and demand is left out, each once.
+    """Yield sentences on oddities of the nets, and on parts of logs and demand that are left out, each once.
 
     Raises:
         InputError: a log cannot be read.
@@ -298,6 +302,6 @@ def sweep_notes(plan: SweepPlan) -> Iterator[str]:
 
 
 def needed_nets(plan: SweepPlan) -> tuple[Path, ...]:
-    """Return the nets of a sweep and their drivable areas, for workers on other machines."""
+    """Return the net files of a sweep and their drivable areas, for workers on other machines."""
     names = dict.fromkeys(options.net for options in plan.cells)
     return tuple(path for name in names for path in net_files(name))

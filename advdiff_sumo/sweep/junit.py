@@ -1,6 +1,6 @@
-"""JUnit XML: what continuous integration reads.
+"""Write results as JUnit XML, for continuous integration.
 
-The standard library's ElementTree writes it; junitparser would name the same three elements and be one more
+The standard library's ElementTree writes it; junitparser would name the same three elements, and be one more
 dependency of every installation.
 """
 
@@ -23,20 +23,20 @@ def junit_xml(
     condition: tuple[str, str | None] | None,
     lacking: str = "",
 ) -> bytes:
-    """Return one test case an episode: a valid failure is one, an episode that could not be finished an error.
+    """Return JUnit XML with one test case an episode.
 
-    A collision that is not a valid failure passes, and is told in the case's output. An episode that failed after a
-    valid failure is both.
+    A valid failure is a failure of its test case; an episode that could not be finished is an error. An episode that
+    failed after a valid failure is both. Other collisions pass, and are described in the case's output.
 
     Args:
         episodes: rows of ``episodes``.
         failures: rows of ``failures``.
         timing: episode → wall-clock seconds.
-        condition: the text of ``--fail-if`` and, where it fails, what it came to; a test case of its own.
-        lacking: what to say of episodes that have not been run, an error in a test case of its own; "" for none.
+        condition: text of ``--fail-if`` and, if it fails, the values behind it; a test case of its own.
+        lacking: error text for episodes that have not been run, a test case of its own; "" for none.
     """
     root = Element("testsuites", name="advdiff-sumo")
-    broken = {int(row["episode"]): row for row in failures}
+    failure_of = {int(row["episode"]): row for row in failures}
     suites: dict[str, list[Row]] = {}
     rows = {int(row["episode"]): row for row in (*failures, *episodes)}
     for number in sorted(rows):
@@ -44,7 +44,7 @@ def junit_xml(
     for name, members in suites.items():
         suite = SubElement(root, "testsuite", name=_clean(name))
         for row in members:
-            _case(suite, row, broken.get(int(row["episode"])), timing)
+            _case(suite, row, failure_of.get(int(row["episode"])), timing)
         _count(suite)
     if lacking:
         suite = SubElement(root, "testsuite", name="missing")
@@ -64,25 +64,28 @@ def junit_xml(
 
 
 def _suite(row: Row) -> str:
+    """Return the name of the suite of *row*: net, target, background and seed."""
     options = [row[name] if row[name] != "{}" else "" for name in ("target_options", "background_options")]
     return f"{row['net']} · {row['target']}{options[0]} · {row['background']}{options[1]} · seed {row['root_seed']}"
 
 
-def _case(suite: Element, row: Row, broken: Row | None, timing: Mapping[int, float]) -> None:
+def _case(suite: Element, row: Row, failed: Row | None, timing: Mapping[int, float]) -> None:
+    """Add the test case of *row* to *suite*."""
     seconds = timing.get(int(row["episode"]), 0.0)
     name = f"scene {row['number']} ({row['key']})"
     case = SubElement(suite, "testcase", classname=suite.get("name", ""), name=name, time=f"{seconds:.3f}")
-    struck = bool(row.get("target_collision"))
-    if struck and fails(row):
+    has_collision = bool(row.get("target_collision"))
+    if has_collision and fails(row):
         SubElement(case, "failure", type=str(row["collision_type"]), message=_clean(_contact(row)))
-    if broken is not None:
-        error = SubElement(case, "error", type=str(broken["kind"]), message=_clean(str(broken["message"])))
-        error.text = _clean(f"{broken['log_tail']}\n{broken['command']}")
-    if struck and not fails(row):
+    if failed is not None:
+        error = SubElement(case, "error", type=str(failed["kind"]), message=_clean(str(failed["message"])))
+        error.text = _clean(f"{failed['log_tail']}\n{failed['command']}")
+    if has_collision and not fails(row):
         SubElement(case, "system-out").text = _clean(_contact(row))
 
 
 def _contact(row: Row) -> str:
+    """Return a description of the collision."""
     text = f"{row['collision_type']} after {row['collision_time_s']:.1f} s, at fault: {row['at_fault']}"
     return f"{text}. {row.get('verdict') or row['fault_reason'] or ''}".strip()
 

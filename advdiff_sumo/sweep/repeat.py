@@ -1,4 +1,4 @@
-"""One episode of a sweep or a run again, exactly."""
+"""Repeat one episode of a sweep or a run exactly."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.work import part_of, run_of
 
 _SHORTEST_KEY = 6
-_BY_SEARCH = ("solvable", "unavoidable", "verdict")
-_SAME = ("episodes", "collisions", "states", "plans", "unattacked")
+_BY_SEARCH = ("solvable", "unavoidable", "verdict")  # columns that the clairvoyant search writes
+_COMPARED_TABLES = ("episodes", "collisions", "states", "plans", "unattacked")
 
 
 @dataclass(frozen=True)
 class Before:
-    """An episode of a sweep or a run, as it is to be run again.
+    """A stored episode of a sweep or a run, to be repeated.
 
     Attributes:
-        store: where its seed scene may be.
-        plan: that it belongs to.
+        store: store that may hold its seed scene.
+        plan: plan that it belongs to.
         job: the episode.
-        part: what came of it; None where nothing is kept.
-        name: a word for it.
+        part: its stored result; None if there is none.
+        name: its name, for files and folders.
     """
 
     store: Store
@@ -49,12 +49,12 @@ class Before:
 
 @dataclass(frozen=True)
 class Repeated:
-    """An episode that was run again.
+    """A repeated episode.
 
     Attributes:
         run: the run that it belongs to.
-        part: what came of it.
-        same: whether all values equal the stored ones; None when nothing was stored.
+        part: its result.
+        same: whether all values equal the stored ones; None if nothing was stored.
     """
 
     run: Run
@@ -66,12 +66,12 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
     """Return the episode *key* of a sweep.
 
     Args:
-        key: of the episode, or how it begins.
-        folder: of the sweep; None to look through the folders in *among*.
-        among: where sweeps usually are.
+        key: key of the episode, or its beginning; with *folder* also its number.
+        folder: folder of the sweep; None to search the folders in *among*.
+        among: folder that holds sweeps.
 
     Raises:
-        InputError: no sweep has it.
+        InputError: no sweep has the episode.
     """
     if folder is not None and key.isdecimal() and len(key) < _SHORTEST_KEY:
         return _numbered(int(key), folder)
@@ -83,59 +83,60 @@ def of_sweep(key: str, folder: Path | None, among: Path) -> Before:
         store = Store.open(folder)
         plan = plan_sweep(store.spec())
         store.must_match(plan.keys)
-        return _kept(store, plan, plan.find(key))
-    unread = list[InputError]()
+        return _stored(store, plan, plan.find(key))
+    errors = list[InputError]()
     for settings_path in sorted(among.glob(f"*/{SWEEP_SETTINGS}")):
         store = Store(settings_path.parent)
         try:
             plan = plan_sweep(store.spec())
-        except InputError as error:  # its net or log is gone, say; the episode may be another sweep's
-            unread.append(error)
+        except InputError as error:  # such as for a missing net; the episode may belong to another sweep
+            errors.append(error)
             continue
         if any(job.key.startswith(key) for job in plan.jobs):
-            return _kept(store, plan, plan.find(key))
-    passed_over = f" (passed over: {'; '.join(map(str, unread))})" if unread else ""
+            return _stored(store, plan, plan.find(key))
+    passed_over = f" (passed over: {'; '.join(map(str, errors))})" if errors else ""
     raise ConfigError(
         f"no sweep in {among} has an episode '{key}'{passed_over}; name its folder with --sweep"
     )
 
 
 def _numbered(number: int, folder: Path) -> Before:
-    """Return the episode that the tables of a sweep call *number*."""
+    """Return the episode that has this *number* in the tables of a sweep."""
     store = Store.open(folder)
     plan = stored_plan(store, drives=True)
     if number >= len(plan.jobs):
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}, or a key"
         )
-    return _kept(store, plan, plan.jobs[number])
+    return _stored(store, plan, plan.jobs[number])
 
 
-def _kept(store: Store, plan: SweepPlan, job: Job) -> Before:
+def _stored(store: Store, plan: SweepPlan, job: Job) -> Before:
+    """Return the stored episode *job*."""
     return Before(store, plan, job, store.read(job.key), job.key)
 
 
 def of_run(number: str, folder: Path) -> Before:
-    """Return episode *number* of the run in *folder*, which is a sweep of one cell.
+    """Return episode *number* of the run in *folder*, which is treated as a sweep of one cell.
 
     Raises:
-        InputError: it holds no run, or none with such an episode.
+        InputError: the folder holds no run, or the run has no such episode.
     """
     plan = plan_run(stored_run(folder))
     if not (number.isdecimal() and int(number) < len(plan.jobs)):
         raise ConfigError(
             f"'{number}' is no episode of {folder}; give a number from 0 to {len(plan.jobs) - 1}"
         )
-    begun, job = RunFolder(folder), plan.jobs[int(number)]
-    return Before(begun.store, plan, job, begun.part(job.number), f"{folder.resolve().name}-{job.number}")
+    stored, job = RunFolder(folder), plan.jobs[int(number)]
+    return Before(stored.store, plan, job, stored.part(job.number), f"{folder.resolve().name}-{job.number}")
 
 
 def repeat(before: Before, gui: bool = False) -> Repeated:
     """Run an episode again in this process.
 
     Args:
-        before: the episode, and what came of it.
-        gui: show it in sumo-gui.
+        before: the stored episode.
+        gui: whether to show it in sumo-gui.
 
     Raises:
         InputError: its seed scene cannot be made again.
@@ -143,18 +144,18 @@ def repeat(before: Before, gui: bool = False) -> Repeated:
     run, episode = episode_again(before.store, before.plan, before.job, gui)
     record, timing = episode.run()
     part = part_of(run, record, timing)
-    return Repeated(run, part, _same(before.part, part))
+    return Repeated(run, part, _is_same(before.part, part))
 
 
 def episode_again(store: Store, plan: SweepPlan, job: Job, gui: bool = False) -> tuple[Run, Episode]:
-    """Return the run and the episode of *job*, ready to go; errors as in :func:`repeat`."""
+    """Return the run and the episode of *job*, ready to be run; errors as in :func:`repeat`."""
     options = plan.options(job)
     run = replace(run_of(options, file_digest(*net_files(options.net))), gui=gui)
     return run, run.episode(job.number, _scene(store, plan, run, job))
 
 
 def settings_for(job: Job, run: Run) -> dict[str, Any]:
-    """Return the ``run.toml`` of a folder that holds just *job*."""
+    """Return the ``run.toml`` of a folder that holds only *job*."""
     settings = run.settings
     return {
         "run": {**settings["run"], "repeats": job.number},
@@ -163,31 +164,32 @@ def settings_for(job: Job, run: Run) -> dict[str, Any]:
 
 
 def _scene(store: Store, plan: SweepPlan, run: Run, job: Job) -> SeedScene:
-    """Return the seed scene, out of the store where it is still there; else it is made again."""
-    kept = store.read_scenes(job.batch)
-    if kept is not None and job.place < len(kept):
-        return scene_from_bytes(kept[job.place], run.road.path)
+    """Return the seed scene: the stored one if it still exists, else it is made again."""
+    stored = store.read_scenes(job.batch)
+    if stored is not None and job.place < len(stored):
+        return scene_from_bytes(stored[job.place], run.road.path)
     scenes = run.scene_batch(plan.batches[job.batch].number, job.place + 1)
     if job.place >= len(scenes):
         raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")
     return scenes[job.place]
 
 
-def _same(stored: StoredEpisode | None, again: StoredEpisode) -> bool | None:
+def _is_same(stored: StoredEpisode | None, repeated: StoredEpisode) -> bool | None:
+    """Return whether all stored values were repeated; None if nothing was stored."""
     if stored is None or not stored.tables:
         return None
     try:
-        names = (*_SAME, *({"signals"} & stored.tables.keys()))  # which earlier versions did not keep
-        pairs = [(stored.tables[name], again.tables[name]) for name in names]
-    except KeyError as lacking:
-        raise FileError(Path("episode"), f"lacks the table {lacking}", "resume the sweep") from None
-    if _searched(stored):
-        pairs = [(_without_search(old), _without_search(new)) for old, new in pairs]
-    return all(old.equals(new.select(old.column_names)) for old, new in pairs)
+        names = (*_COMPARED_TABLES, *({"signals"} & stored.tables.keys()))  # not in early versions
+        pairs = [(stored.tables[name], repeated.tables[name]) for name in names]
+    except KeyError as table:
+        raise FileError(Path("episode"), f"lacks the table {table}", "resume the sweep") from None
+    if _has_search(stored):
+        pairs = [(_without_search(before), _without_search(after)) for before, after in pairs]
+    return all(before.equals(after.select(before.column_names)) for before, after in pairs)
 
 
-def _searched(stored: StoredEpisode) -> bool:
-    """Return whether ``verdict --search`` has been at it, which a repetition does not do again."""
+def _has_search(stored: StoredEpisode) -> bool:
+    """Return whether ``verdict --search`` has added columns, which a repetition does not compute."""
     table = stored.tables["episodes"]
     return "solvable" in table.column_names and table["solvable"].null_count < table.num_rows
 

@@ -1,4 +1,4 @@
-"""The rounds of a diverse sweep: what was chosen so far, and what comes next."""
+"""Choose the episodes of a diverse sweep in rounds."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_store import Store
 
 ROUNDS = "rounds.json"
-_ROUNDS, _LEAST = 10, 8
+_ROUND_COUNT, _MIN_ROUND_SIZE = 10, 8
 
 
 def stored_plan(store: Store, *, drives: bool = False) -> SweepPlan:
-    """Return the plan of the sweep in *store*; of a diverse one, the episodes that have been chosen.
+    """Return the plan of the sweep in *store*; for a diverse sweep, with the episodes chosen so far.
 
     Args:
-        store: its folder.
-        drives: its episodes are to be run again, so that its planners must be at hand.
+        store: folder of the sweep.
+        drives: whether its episodes are to be run again, so that its planners must be available.
 
     Raises:
-        InputError: it is damaged, or its nets are no longer what they were.
+        InputError: the folder is damaged, or its nets have changed.
     """
     plan = plan_sweep(store.spec(), drives=drives)
     store.must_match(plan.keys)
@@ -33,63 +33,67 @@ def stored_plan(store: Store, *, drives: bool = False) -> SweepPlan:
 
 
 def chosen_so_far(plan: SweepPlan, store: Store | None) -> SweepPlan:
-    """Return *plan* with those of its episodes that have been chosen, in that order; itself where it is not diverse.
+    """Return *plan* with the episodes chosen so far, in that order; *plan* itself if the sweep is not diverse.
 
     Raises:
         FileError: ``rounds.json`` is damaged.
     """
     if not plan.spec.diverse:
         return plan
-    return _with(plan, [] if store is None else _read(store))
+    return _with_episodes(plan, [] if store is None else _chosen_keys(store))
 
 
 def rounds(plan: SweepPlan, store: Store, most: int) -> Iterator[tuple[SweepPlan, tuple[Job, ...]]]:
-    """Yield what has been chosen and what of it is to be run, a round at a time, until *most* episodes are chosen.
+    """Yield, for each round, the plan with all chosen episodes, and the episodes to run, until *most* are chosen.
 
-    What a round is chosen by must be in *store* when the next one is asked for.
+    All results of a round must be in *store* before the next one is requested.
     """
-    keys = _read(store)
-    size = max(plan.wanted // _ROUNDS, _LEAST)
-    known: dict[str, Row | None] = {}
+    keys = _chosen_keys(store)
+    size = max(plan.wanted // _ROUND_COUNT, _MIN_ROUND_SIZE)
+    row_by_key: dict[str, Row | None] = {}
     while len(keys) < most:
-        begun = len(keys) - len(keys) % size  # a round that was cut short is filled by what it began with
-        known |= {key: _row(plan, store, key) for key in keys[:begun] if key not in known}
-        chosen = _next(plan, known, min(size, plan.wanted - begun))
-        fresh = [key for key in chosen if key not in keys][: min(most, begun + size) - len(keys)]
-        if not fresh:
+        # an interrupted round is completed with the results that it was chosen by
+        round_start = len(keys) - len(keys) % size
+        row_by_key |= {key: _row(plan, store, key) for key in keys[:round_start] if key not in row_by_key}
+        chosen = _next_keys(plan, row_by_key, min(size, plan.wanted - round_start))
+        new_keys = [key for key in chosen if key not in keys][: min(most, round_start + size) - len(keys)]
+        if not new_keys:
             return
-        keys = [*keys, *fresh]
+        keys = [*keys, *new_keys]
         write_whole(store.path / ROUNDS, json.dumps({"episodes": keys}, indent=1).encode())
-        present = _with(plan, keys)
-        yield present, present.jobs[-len(fresh) :]
+        present = _with_episodes(plan, keys)
+        yield present, present.jobs[-len(new_keys) :]
 
 
-def _next(plan: SweepPlan, known: Mapping[str, Row | None], count: int) -> list[str]:
-    """Return the *count* episodes that come after those with the rows *known*."""
-    results = ((_candidate(plan, plan.by_key[key]), row) for key, row in known.items())
-    left = [_candidate(plan, job) for job in plan.jobs if job.key not in known]
-    return Steering.after(results).pick(left, count)
+def _next_keys(plan: SweepPlan, row_by_key: Mapping[str, Row | None], count: int) -> list[str]:
+    """Return the keys of the next *count* episodes, given the rows *row_by_key* of the earlier ones."""
+    results = ((_candidate(plan, plan.by_key[key]), row) for key, row in row_by_key.items())
+    remaining = [_candidate(plan, job) for job in plan.jobs if job.key not in row_by_key]
+    return Steering.after(results).pick(remaining, count)
 
 
 def _row(plan: SweepPlan, store: Store, key: str) -> Row | None:
-    """Return the row of a finished episode; None where it has none."""
+    """Return the row of a finished episode; None if it has none."""
     row = store.glance(key)
     job = plan.by_key[key]
     return None if row is None else {**row, **job_row(job, plan.options(job))}
 
 
 def _candidate(plan: SweepPlan, job: Job) -> Candidate:
+    """Return *job* as a candidate for the next round."""
     row = job_row(job, plan.options(job))
     target = f"{row['target']} {row['target_options']}"
     return Candidate(job.key, target, row["net"], row["attack"], job.scene_key)
 
 
-def _with(plan: SweepPlan, keys: list[str]) -> SweepPlan:
+def _with_episodes(plan: SweepPlan, keys: list[str]) -> SweepPlan:
+    """Return *plan* with the episodes *keys* only, in this order."""
     jobs = (plan.by_key[key] for key in keys)
     return replace(plan, jobs=tuple(replace(job, index=k) for k, job in enumerate(jobs)))
 
 
-def _read(store: Store) -> list[str]:
+def _chosen_keys(store: Store) -> list[str]:
+    """Return the keys in ``rounds.json``; [] if there is no such file."""
     path = store.path / ROUNDS
     try:
         keys = json.loads(path.read_text(encoding="utf-8"))["episodes"]

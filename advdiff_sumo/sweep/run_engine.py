@@ -1,4 +1,4 @@
-"""A run is a sweep of one cell: the same tasks, workers and records, into a folder of its own form."""
+"""Execute a run as a sweep of one cell: same tasks, workers and records, but its own form of folder."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 
 
 def run_settings(run: Run) -> dict[str, Any]:
-    """Return what ``run.toml`` holds: all that is needed to repeat the run, and a digest of its files."""
+    """Return the content of ``run.toml``: all that is needed to repeat the run, and a digest of its inputs."""
     settings = run.settings
     return {**settings, "run": {**settings["run"], **code_digests(run.names), "inputs": run_inputs(run)}}
 
 
 def stored_run(folder: Path, planner: Planner | None = None) -> Run:
-    """Return the run in *folder* as it was asked for.
+    """Return the run stored in *folder*, prepared.
 
     Args:
-        folder: of a run.
-        planner: in place of its target, which need not be at hand then.
+        folder: folder of a run.
+        planner: replaces the run's target, which then need not be available.
 
     Raises:
-        InputError: it holds no run, or none that can be prepared, or a file of it is no longer what it was.
+        InputError: the folder holds no run, the run cannot be prepared, or one of its input files has changed.
     """
     settings = read_settings(folder)
     options = RunOptions.parse(settings.get("options", {}), str(folder / RUN_SETTINGS))
@@ -49,38 +49,38 @@ def run_into(
     retries: int = 1,
     retry_failed: bool = False,
 ) -> int:
-    """Run the episodes that *folder* lacks and put its tables together, also after an interrupt.
+    """Run the episodes that *folder* lacks and write its tables, also after an interrupt.
 
     Args:
         run: the run.
-        folder: where the results go.
-        executor: who does it.
-        tell: called with each finished episode: its row, and why it failed.
+        folder: folder for the results.
+        executor: runs the tasks.
+        tell: called with each finished episode: its row, and its failure if it failed.
         hear: called with what planners and policies printed.
-        retries: how often an episode whose worker died is tried again.
-        retry_failed: run the episodes of *folder* again that failed.
+        retries: number of further attempts if the worker of an episode dies.
+        retry_failed: also run the failed episodes of *folder* again.
 
     Returns:
         Number of episodes in the folder.
 
     Raises:
-        InputError: no seed scene can be made, or a file cannot be written; what had finished is kept.
+        InputError: no seed scene can be made, or a file cannot be written; finished episodes are kept.
     """
     plan = plan_run(run)
     done = set(folder.done(retry_failed))
     finished = False
     try:
         with executor:
-            conductor = Scheduler(plan, folder.store, executor, retries, tell, hear, refuses=True)
-            conductor.run(job for job in plan.jobs if job.number not in done)
+            scheduler = Scheduler(plan, folder.store, executor, retries, tell, hear, refuses=True)
+            scheduler.run(job for job in plan.jobs if job.number not in done)
         finished = True
     finally:
         folder.store.drop_ballast()
-        numbers = folder.done()
-        if numbers:
+        stored = folder.done()
+        if stored:
             folder.consolidate(finished)
         else:
             folder.discard()
-    if not numbers:
+    if not stored:
         raise SceneError(run.why_no_scene())
-    return len(numbers)
+    return len(stored)

@@ -1,4 +1,4 @@
-"""The folder of a run: finished episodes are on disk at once, its tables are put together at the end."""
+"""Manage the folder of a run: each finished episode is stored at once, the tables are written at the end."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from advdiff_sumo.sweep.table_writer import TableWriter
 from advdiff_sumo.sweep.tasks import Failed
 
 FAILURES = "failures.parquet"
-_BALLAST_BYTES = 8 << 20
+_BALLAST_BYTES = 8 << 20  # disk space reserved for running episodes
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run's folder.
+    """The folder of a run.
 
     Attributes:
         path: the folder.
-        created: folders that this run made, innermost first.
-        fresh: there was no run in it before.
+        created: folders that this run created, innermost first.
+        fresh: whether it held no run before.
     """
 
     path: Path
@@ -51,31 +51,31 @@ class RunFolder:
     def create(
         path: Path, settings: Mapping[str, Any], resume: bool, remedy: str = "choose a new --out"
     ) -> RunFolder:
-        """Make the folder and write ``run.toml``.
+        """Create the folder and write ``run.toml``.
 
         Args:
-            path: a new or empty folder; with *resume*, one that an interrupted run left.
-            settings: what ``run.toml`` holds.
-            resume: go on with that run.
-            remedy: what to do where it holds a run that is not to go on.
+            path: a new or empty folder; with *resume*, one with an earlier run.
+            settings: content of ``run.toml``.
+            resume: whether to continue that run.
+            remedy: advice if the folder holds a run that is not to be continued.
 
         Raises:
             FileError: the folder cannot be written, holds something else, or a table in it is damaged.
-            ConfigError: it is of a run with other options.
+            ConfigError: its run has other options.
         """
-        begun = (path / RUN_SETTINGS).exists()
-        new_folders = tuple(folder for folder in (path, *path.parents) if not folder.exists())
-        folder = RunFolder(path, new_folders, fresh=not begun)
-        if begun:
+        holds_run = (path / RUN_SETTINGS).exists()
+        missing_folders = tuple(folder for folder in (path, *path.parents) if not folder.exists())
+        folder = RunFolder(path, missing_folders, fresh=not holds_run)
+        if holds_run:
             if not resume:
                 raise FileError(path, "already holds a run", remedy)
             folder._must_continue(settings)
             settings = with_earlier(settings, "run", read_settings(path))
         elif path.is_dir() and any(child.name != RUN_PARTS for child in path.iterdir()):
             raise FileError(path, "is a folder that holds other files", "choose a new --out")
-        finished = folder._to_take_apart()
+        finished = folder._only_in_tables()
         try:
-            folder._take_apart(finished)
+            folder._store_again(finished)
             folder.store.prepare(_BALLAST_BYTES)
             write_whole(path / RUN_SETTINGS, tomli_w.dumps(settings).encode())
         except (FileError, OSError) as error:
@@ -86,11 +86,11 @@ class RunFolder:
 
     @property
     def store(self) -> Store:
-        """Where its episodes are while it is going on; they are called by :func:`run_key`."""
+        """Store of the episodes while the run is unfinished; their keys are those of :func:`run_key`."""
         return Store(self.path / RUN_PARTS)
 
     def discard(self) -> None:
-        """Take a new folder away again, for a run of which no episode finished; what was there before stays."""
+        """Remove a new folder whose run finished no episode; what was there before stays."""
         if not self.fresh or self.done():
             return
         shutil.rmtree(self.path / RUN_PARTS, ignore_errors=True)
@@ -98,69 +98,70 @@ class RunFolder:
             with contextlib.suppress(OSError):
                 file.unlink()
         for folder in self.created:
-            with contextlib.suppress(OSError):  # somebody else put something there
+            with contextlib.suppress(OSError):  # another program put something there
                 folder.rmdir()
 
     def _must_continue(self, settings: Mapping[str, Any]) -> None:
-        begun = read_settings(self.path)
-        old, new = begun.get("options", {}), settings["options"]
+        """Check that the run in the folder can be continued with *settings*."""
+        stored = read_settings(self.path)
+        old, new = stored.get("options", {}), settings["options"]
         for key in sorted({*old, *new} - {"episodes", "out"}):
             if old.get(key) != new.get(key):
                 raise ConfigError(
                     f"{self.path}: that run had {key} = {old.get(key)!r}, not {new.get(key)!r}; "
                     "leave that option out, or choose a new --out"
                 )
-        had = max(self.done() or self._in_tables(), default=-1) + 1
-        if had > new["episodes"]:
+        count = max(self.done() or self._in_tables(), default=-1) + 1
+        if count > new["episodes"]:
             raise ConfigError(
-                f"{self.path}: that run has {counted(had, 'episode')}; ask for as many, or choose a new --out"
+                f"{self.path}: that run has {counted(count, 'episode')}; ask for as many, or choose a new --out"
             )
-        must_have_inputs(self.path, begun, settings.get("run", {}).get("inputs"), "choose a new --out")
+        must_have_inputs(self.path, stored, settings.get("run", {}).get("inputs"), "choose a new --out")
 
     # --- episodes ----------------------------------------------------------------------------------------
 
     def done(self, retry_failed: bool = False) -> list[int]:
-        """Return the numbers of the episodes that are on disk; with *retry_failed* of those that did not fail."""
+        """Return the numbers of the stored episodes; with *retry_failed*, only of those that did not fail."""
         store = self.store
         return [int(key) for key in store.finished() if not retry_failed or store.is_done(key, retry_failed)]
 
     def add(self, number: int, part: StoredEpisode) -> None:
-        """Write one finished episode; it counts only once all of it is on disk."""
+        """Store one finished episode; it counts only when its file is complete."""
         self.store.write(run_key(number), part.to_bytes())
 
     def part(self, number: int) -> StoredEpisode | None:
-        """Return what is kept of an episode, while the run is going on and after; None where it has none."""
+        """Return the stored form of an episode, of an unfinished or finished run; None if there is none."""
         stored = self.store.read(run_key(number))
         if stored is not None or number not in self._in_tables():
             return stored
         return self._from_tables((number,))[number]
 
     def episodes(self) -> dict[int, StoredEpisode]:
-        """Return what is kept of all episodes by number, while the run is going on and after."""
+        """Return the stored forms of all episodes by number, of an unfinished or finished run."""
         if not (numbers := self.done()):
             return self._from_tables(self._in_tables())
         parts = {number: self.store.read(run_key(number)) for number in numbers}
         return {number: part for number, part in parts.items() if part is not None}
 
     def catch_up(self) -> None:
-        """Put the episodes of a run that was interrupted, or goes on, together if any came after its tables.
+        """Write the tables of an unfinished run if episodes have been stored since they were written.
 
         Raises:
             FileError: they cannot be written, or the run has ended meanwhile.
         """
-        tables, numbers = self._tables.path("episodes"), self.done()
-        made_ns = tables.stat().st_mtime_ns if tables.exists() else 0
-        if numbers and max(self.store.changed_ns(), default=0) > made_ns:
+        table_path, numbers = self._tables.path("episodes"), self.done()
+        written_ns = table_path.stat().st_mtime_ns if table_path.exists() else 0
+        if numbers and max(self.store.changed_ns(), default=0) > written_ns:
             self.consolidate(finished=False)
 
     def consolidate(self, finished: bool) -> int:
-        """Put the finished episodes together in one file a table.
+        """Write the finished episodes into one file a table.
 
         Args:
-            finished: nothing is missing: the parts are removed.
+            finished: whether no episode is missing; the files of single episodes are then removed.
 
         Returns:
-            Number of episodes that have rows in the tables.
+            Number of episodes with rows in the tables.
         """
         rows = 0
         failures: list[dict[str, Any]] = []
@@ -183,18 +184,19 @@ class RunFolder:
         return rows
 
     def failures(self) -> list[dict[str, Any]]:
-        """Return the rows of ``failures.parquet``; none where no episode failed."""
+        """Return the rows of ``failures.parquet``; [] if no episode failed."""
         return self._tables.rows("failures").to_pylist() if (self.path / FAILURES).exists() else []
 
     def _writer(self, name: str) -> TableWriter:
         return TableWriter(self.path / f"{name}.parquet", schema_of(TABLES[name]), rows_together=0)
 
     def failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
-        """Return the row of ``failures`` of an episode, with the command that repeats it."""
+        """Return an episode's row of ``failures``, with the command that repeats the episode."""
         command = f"advdiff-sumo replay {number} --run {shlex.quote(str(self.path))}"
         return {"episode": number, **vars(failed), "command": command}
 
     def _write_failures(self, rows: list[dict[str, Any]]) -> None:
+        """Write ``failures.parquet``, or remove it if there are no rows."""
         path = self.path / FAILURES
         if not rows:
             path.unlink(missing_ok=True)
@@ -202,22 +204,22 @@ class RunFolder:
         with TableWriter(path, schema_of(RUN_FAILURE_COLUMNS), rows_together=0) as writer:
             writer.add(table_of(rows, RUN_FAILURE_COLUMNS))
 
-    # --- a finished run goes on --------------------------------------------------------------------------
+    # --- continuing a finished run ------------------------------------------------------------------------
 
     def _in_tables(self) -> list[int]:
-        """Return the numbers of the episodes of a finished run; those that failed without a row among them."""
+        """Return the numbers of the episodes in the tables of a finished run, failed ones without a row included."""
         if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
             return []
         numbers = self._tables.rows("episodes", ["episode"])["episode"]
         known = {number for number in numbers.to_pylist() if number is not None}
         return sorted(known | {int(row["episode"]) for row in self.failures()})
 
-    def _to_take_apart(self) -> dict[int, StoredEpisode]:
-        """Return the episodes of a finished run, which has them in its tables alone."""
+    def _only_in_tables(self) -> dict[int, StoredEpisode]:
+        """Return the episodes of a finished run that are in its tables only."""
         return {} if (self.path / RUN_PARTS).exists() else self._from_tables(self._in_tables())
 
-    def _take_apart(self, finished: Mapping[int, StoredEpisode]) -> None:
-        """Make parts of a finished run's tables again, so that none of its episodes is run or lost."""
+    def _store_again(self, finished: Mapping[int, StoredEpisode]) -> None:
+        """Write the episodes of a finished run into single files again, so that none is lost or run again."""
         if not finished:
             return
         aside = RunFolder(self.path / f"{RUN_PARTS}{ASIDE}")
@@ -229,40 +231,42 @@ class RunFolder:
         shutil.rmtree(aside.path)
 
     def _from_tables(self, numbers: Sequence[int]) -> dict[int, StoredEpisode]:
+        """Return the episodes *numbers* out of the tables."""
         if not numbers:
             return {}
-        whole = {name: self._table(name) for name in TABLES}
-        with_rows = set(whole["episodes"]["episode"].to_pylist())
+        tables = {name: self._table(name) for name in TABLES}
+        with_rows = set(tables["episodes"]["episode"].to_pylist())
         names = Failed.__dataclass_fields__
         failed = {row["episode"]: Failed(**{name: row[name] for name in names}) for row in self.failures()}
         return {
-            number: StoredEpisode(_rows_of(whole, number) if number in with_rows else {}, failed.get(number))
+            number: StoredEpisode(_rows_of(tables, number) if number in with_rows else {}, failed.get(number))
             for number in numbers
         }
 
     def _table(self, name: str) -> pa.Table:
-        """Return a table; what an earlier version did not write is empty."""
+        """Return a table; one that an earlier version did not write is empty."""
         schema = schema_of(TABLES[name])
-        tables = self._tables
-        return tables.rows(name, schema=schema) if tables.path(name).exists() else schema.empty_table()
+        reader = self._tables
+        return reader.rows(name, schema=schema) if reader.path(name).exists() else schema.empty_table()
 
     @property
     def _tables(self) -> RunTables:
-        again = f"advdiff-sumo run --config {shlex.quote(str(self.path / RUN_SETTINGS))}"
-        return RunTables(self.path, remedy=f"begin the run again: {again}")
+        """Reader of the run's tables."""
+        command = f"advdiff-sumo run --config {shlex.quote(str(self.path / RUN_SETTINGS))}"
+        return RunTables(self.path, remedy=f"begin the run again: {command}")
 
 
 def must_have_inputs(folder: Path, begun: Mapping[str, Any], inputs: str | None, otherwise: str) -> None:
-    """Refuse a run whose files are not what they were when it was begun.
+    """Check that the input files of a run have not changed since it was begun.
 
     Args:
-        folder: of the run.
-        begun: its ``run.toml``.
-        inputs: digest of the files now, as in :func:`~advdiff_sumo.sweep.job_plan.run_inputs`.
-        otherwise: what to do in place of putting the old ones back.
+        folder: folder of the run.
+        begun: content of its ``run.toml``.
+        inputs: present digest of the files, as in :func:`~advdiff_sumo.sweep.job_plan.run_inputs`.
+        otherwise: advice, as an alternative to restoring the old files.
 
     Raises:
-        ConfigError: so it is.
+        ConfigError: they have changed.
     """
     if begun.get("run", {}).get("inputs", inputs) != inputs:
         raise ConfigError(
@@ -272,8 +276,9 @@ def must_have_inputs(folder: Path, begun: Mapping[str, Any], inputs: str | None,
 
 
 def _rows_of(tables: Mapping[str, pa.Table], number: int) -> dict[str, pa.Table]:
-    chosen = pc.field("episode") == number
-    return {name: table.filter(chosen).combine_chunks() for name, table in tables.items()}
+    """Return the rows of episode *number* of each table."""
+    is_episode = pc.field("episode") == number
+    return {name: table.filter(is_episode).combine_chunks() for name, table in tables.items()}
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
@@ -292,4 +297,5 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def _reason(error: FileError) -> str:
+    """Return the system's reason in the message of *error*."""
     return error.problem.partition("(")[2].rpartition(")")[0] or error.problem

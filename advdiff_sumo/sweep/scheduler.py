@@ -1,4 +1,4 @@
-"""Leads a sweep: hands tasks out, takes results in, tries again, records what failed."""
+"""Lead a sweep: submit tasks, store results, retry, and record failures."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Batch, EpisodeTask, Failed, Outcome, SceneTask, Task
 from advdiff_sumo.sweep.work import NO_ROOM
 
-#: Failures that may say nothing about the episode but about what its worker did before: it is tried again.
-_CHANCE = {"worker_died", "simulator_crashed", "planner_crashed"}
+#: Kinds of failure that may be due to earlier tasks of the worker, so that the task is retried.
+_RETRIED_KINDS = {"worker_died", "simulator_crashed", "planner_crashed"}
 
 _log = logging.getLogger(__name__)
 
@@ -34,13 +34,13 @@ class Scheduler:
     """The state of a running sweep.
 
     Attributes:
-        plan: what to do.
-        store: where it goes.
-        executor: who does it.
-        retries: how often a task whose worker died is given again.
-        tell: called with every episode that was stored: its row, and why it failed.
+        plan: the episodes.
+        store: receives the results.
+        executor: runs the tasks.
+        retries: number of further attempts if the worker of a task dies.
+        tell: called with every stored episode: its row, and its failure if it failed.
         hear: called with what planners and policies printed.
-        refuses: raise where seed scenes or options cannot be used, in place of recording it.
+        refuses: whether unusable seed scenes or options raise instead of being recorded.
     """
 
     plan: SweepPlan
@@ -50,43 +50,43 @@ class Scheduler:
     tell: Tell
     hear: Callable[[str], None] = lambda _: None
     refuses: bool = False
-    _waiting: dict[str, deque[Job]] = field(default_factory=dict)
-    _unmade: deque[Batch] = field(default_factory=deque)
-    _ready: deque[Job] = field(default_factory=deque)
-    _short: deque[tuple[Job, int]] = field(default_factory=deque)
+    _without_scene: dict[str, deque[Job]] = field(default_factory=dict)  # by batch
+    _batches_to_make: deque[Batch] = field(default_factory=deque)
+    _ready: deque[Job] = field(default_factory=deque)  # their seed scenes are stored
+    _beyond_log: deque[tuple[Job, int]] = field(default_factory=deque)  # with the log's number of scenes
     _jobs: dict[str, Job] = field(default_factory=dict)
     _running: dict[str, Task] = field(default_factory=dict)
     _attempts: dict[str, int] = field(default_factory=dict)
     _net_digests: dict[str, str] = field(default_factory=dict)
-    _ended: dict[str, Failed] = field(default_factory=dict)
+    _first_failures: dict[str, Failed] = field(default_factory=dict)  # of episodes that are driven again
 
     def run(self, jobs: Iterable[Job]) -> None:
-        """Do *jobs*.
+        """Run *jobs*.
 
         Raises:
-            FileError: results cannot be stored; all that was computed until then is, disk full included.
-            InputError: ``refuses``, and so.
+            FileError: results cannot be stored; what was computed before is stored, also if the disk is full.
+            InputError: ``refuses`` is set, and seed scenes or options are unusable.
         """
         for job in jobs:
             self._jobs[job.key] = job
-            if job.batch not in self._waiting:
-                self._waiting[job.batch] = deque()
-                self._unmade.append(self.plan.batches[job.batch])
-            self._waiting[job.batch].append(job)
+            if job.batch not in self._without_scene:
+                self._without_scene[job.batch] = deque()
+                self._batches_to_make.append(self.plan.batches[job.batch])
+            self._without_scene[job.batch].append(job)
         try:
             while self._fill():
-                self._record_short()
-                self._take(self.executor.wait())
-            self._record_short()
+                self._record_beyond_log()
+                self._handle(self.executor.wait())
+            self._record_beyond_log()
         except DiskFullError:
             raise self._disk_full(self._save_running()) from None
 
-    # --- out ---------------------------------------------------------------------------------------------
+    # --- submit ------------------------------------------------------------------------------------------
 
     def _fill(self) -> bool:
-        """Give every free slot a task; return whether anything is running."""
+        """Submit tasks to all free slots; return whether any task is running."""
         while len(self._running) < self.executor.slots:
-            task = self._next()
+            task = self._next_task()
             if task is None:
                 break
             self._submit(task)
@@ -97,29 +97,29 @@ class Scheduler:
         self._attempts[task.key] = self._attempts.get(task.key, 0) + 1
         self.executor.submit(task)
 
-    def _next(self) -> Task | None:
-        """Return the next task: seed scenes while fewer episodes than slots are ready, else an episode."""
-        while self._unmade and len(self._ready) < self.executor.slots:
-            batch = self._unmade.popleft()
+    def _next_task(self) -> Task | None:
+        """Return the next task: a batch of seed scenes while fewer episodes than slots are ready, else an episode."""
+        while self._batches_to_make and len(self._ready) < self.executor.slots:
+            batch = self._batches_to_make.popleft()
             if not self._has_scenes(batch):
                 return self._scene_task(batch)
             self._release(batch)
         while self._ready:
             job = self._ready.popleft()
             scenes = self.store.read_scenes(job.batch)
-            if scenes is None:  # damaged since it was written
-                self._waiting.setdefault(job.batch, deque()).append(job)
+            if scenes is None:  # the file was damaged after it was written
+                self._without_scene.setdefault(job.batch, deque()).append(job)
                 if job.batch in self._running:
                     continue
                 return self._scene_task(self.plan.batches[job.batch])
             if job.place < len(scenes):
                 options = self.plan.options(job)
                 return EpisodeTask(job.key, options, job.number, scenes[job.place], self._net(options.net))
-            self._short.append((job, len(scenes)))
+            self._beyond_log.append((job, len(scenes)))
         return None
 
     def _has_scenes(self, batch: Batch) -> bool:
-        """Return whether the seed scenes of *batch* are stored; of a driving log they may be fewer than are wanted."""
+        """Return whether the seed scenes of *batch* are stored; a log may have fewer scenes than wanted."""
         return self.store.has_scenes(batch.key, batch.scenes)
 
     def _scene_task(self, batch: Batch) -> SceneTask:
@@ -130,9 +130,10 @@ class Scheduler:
             self._net_digests[net] = file_digest(*net_files(net))
         return self._net_digests[net]
 
-    # --- in ----------------------------------------------------------------------------------------------
+    # --- results -----------------------------------------------------------------------------------------
 
-    def _take(self, outcome: Outcome) -> None:
+    def _handle(self, outcome: Outcome) -> None:
+        """Store or retry one outcome, and submit further tasks."""
         task = self._running.pop(outcome.key)
         attempts = self._attempts[task.key]
         if outcome.failed is not None and outcome.failed.kind == NO_ROOM:
@@ -140,65 +141,70 @@ class Scheduler:
             raise FileError(
                 self.store.path, outcome.failed.message, "free some space and go on with --resume"
             )
-        if outcome.failed is not None and outcome.failed.kind in _CHANCE and attempts <= self.retries:
+        if outcome.failed is not None and outcome.failed.kind in _RETRIED_KINDS and attempts <= self.retries:
             self._submit(task)
             return
         if outcome.said:
             self.hear(outcome.said)
         outcome = outcome.tried(attempts)
-        if isinstance(task, EpisodeTask) and self._made_again(task, outcome):
+        if isinstance(task, EpisodeTask) and self._driven_again(task, outcome):
             return
-        self._fill()  # workers first, then the disk
+        self._fill()  # before writing, so that no worker waits for the disk
         if isinstance(task, EpisodeTask):
             self._record(self._jobs[task.key], outcome)
         elif outcome.failed is None:
             self.store.write_scenes(task.key, outcome.product, self.plan.batches[task.key].scenes)
             self._release(self.plan.batches[task.key])
         elif isinstance(task, SceneTask):
-            self._give_up(task, outcome.failed)
+            self._record_without_scene(task, outcome.failed)
 
-    def _made_again(self, task: EpisodeTask, outcome: Outcome) -> bool:
-        """Let what happened before an episode ended its worker be made again, as far as that goes, for its rows."""
+    def _driven_again(self, task: EpisodeTask, outcome: Outcome) -> bool:
+        """Submit a failed episode again, to record its rows up to the failure; return whether it was submitted.
+
+        It is driven up to the step that it had reached. After a timeout, or if it fails again, nothing is driven.
+        """
         failed = outcome.failed
         if failed is None:
             return False
         self._refuse(failed)
         if failed.is_unusable or (task.ended is not None and task.ended.steps < 0):
             return False
-        first = self._ended.setdefault(task.key, failed)
-        slow = failed.kind == "timeout"  # it would be too slow again
-        reached = NOT_STARTED if slow or task.ended is not None else outcome.steps
+        first = self._first_failures.setdefault(task.key, failed)
+        timed_out = failed.kind == "timeout"  # it would time out again
+        reached = NOT_STARTED if timed_out or task.ended is not None else outcome.steps
         ended = Ended(reached, first.kind, first.message, first.log_tail)
-        self._running[task.key] = again = replace(task, ended=ended)
-        self.executor.submit(again)
+        self._running[task.key] = repetition = replace(task, ended=ended)
+        self.executor.submit(repetition)
         return True
 
     def _refuse(self, failed: Failed) -> None:
+        """Raise an error if the input is unusable and ``refuses`` is set."""
         if self.refuses and failed.is_unusable:
             raise SceneError(failed.message) if failed.kind == "no_scene" else InputError(failed.message)
 
     def _release(self, batch: Batch) -> None:
-        self._ready.extend(self._waiting.pop(batch.key, ()))
+        self._ready.extend(self._without_scene.pop(batch.key, ()))
 
-    def _give_up(self, task: SceneTask, failed: Failed) -> None:
+    def _record_without_scene(self, task: SceneTask, failed: Failed) -> None:
         """Record that the episodes of a batch have no seed scene."""
         self._refuse(failed)
         message = f"no seed scene: {failed.message}"
-        for job in self._waiting.pop(task.key, ()):
-            final = Failed(failed.kind, message, failed.log_tail, self._attempts[task.key])
-            self._record(job, Outcome(job.key, (), final))
+        for job in self._without_scene.pop(task.key, ()):
+            failure = Failed(failed.kind, message, failed.log_tail, self._attempts[task.key])
+            self._record(job, Outcome(job.key, (), failure))
 
-    def _record_short(self) -> None:
+    def _record_beyond_log(self) -> None:
         """Record the episodes for which a driving log has no scene."""
-        while self._short:
-            job, scenes = self._short.popleft()
+        while self._beyond_log:
+            job, scenes = self._beyond_log.popleft()
             if self.refuses:
-                continue  # there are as many episodes as the log has scenes
+                continue  # a run has only as many episodes as the log has scenes
             message = f"the log has {counted(scenes, 'seed scene')}, this is number {job.place + 1}"
             self._record(job, Outcome(job.key, (), Failed("no_scene", message)))
 
     def _record(self, job: Job, outcome: Outcome) -> None:
-        first = self._ended.pop(job.key, None)
+        """Store the outcome of an episode; a repetition is stored with the first failure."""
+        first = self._first_failures.pop(job.key, None)
         if outcome.failed is not None:
             content = StoredEpisode({}, first or outcome.failed).to_bytes()
         elif first is not None:
@@ -218,7 +224,7 @@ class Scheduler:
     # --- the end -----------------------------------------------------------------------------------------
 
     def _save_running(self) -> int:
-        """Let what is running finish and store it in the room that was kept back; return how many did not fit."""
+        """Wait for running episodes and store them in the reserved disk space; return how many did not fit."""
         self.store.drop_ballast()
         lost = 0
         while self._running:
@@ -232,6 +238,7 @@ class Scheduler:
         return lost
 
     def _disk_full(self, lost: int) -> FileError:
+        """Return the error for a full disk; *lost*: finished episodes that did not fit."""
         left = sum(not self.store.has(key) for key in self._jobs)
         kept = "all that had finished is stored" if not lost else f"{lost} that had finished did not fit"
         return FileError(

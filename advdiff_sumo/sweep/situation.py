@@ -1,4 +1,4 @@
-"""Where and how an episode became critical: what findings are clustered and coverage is counted by."""
+"""Describe where and how an episode became critical, for clustering findings and counting coverage."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from advdiff_sumo.maps.lanes import Junction
 from advdiff_sumo.metrics.archive import APPROACHES, MANOEUVRES, NATURAL
 from advdiff_sumo.metrics.columns import Column
 
-#: A place so near to a junction's outline belongs to it.
+#: A position within this distance of a junction's outline belongs to it.
 AT_JUNCTION_M = 15.0
-#: The approach is looked at so long before contact.
+#: The approach is that of so long before contact.
 APPROACH_S = 1.0
-_FARTHEST_M = 100.0
-
-_ALIKE_RAD, _OPPOSITE_RAD = np.pi / 4.0, 3.0 * np.pi / 4.0
-_BESIDE_M = 1.5
-_ATTACK_S = 8.0
-_MANOEUVRE_S, _TURNS_RAD, _STANDS_MPS = 3.0, np.radians(20.0), 0.5
+_MAX_CENTRE_M = 100.0  # distance of a junction's centre beyond which its outline is not checked
+_SAME_HEADING_RAD, _OPPOSITE_RAD = np.pi / 4.0, 3.0 * np.pi / 4.0  # differences of heading
+_BESIDE_M = 1.5  # lateral distance from which a vehicle is beside, not ahead or behind
+_ATTACK_S = 8.0  # an earlier attack does not count
+_MANOEUVRE_S, _TURN_RAD, _STANDING_MPS = 3.0, np.radians(20.0), 0.5  # of the target
 
 SITUATION_COLUMNS: Mapping[str, Column] = {
     "critical_time_s": Column(
@@ -64,7 +63,8 @@ def situation(record: EpisodeRecord, row: Mapping[str, Any], road: RoadMap) -> d
         road: its map.
     """
     critical_s = next(
-        (float(row[n]) for n in ("collision_time_s", "min_clearance_time_s") if row[n] is not None), 0.0
+        (float(row[name]) for name in ("collision_time_s", "min_clearance_time_s") if row[name] is not None),
+        0.0,
     )
     tracks, target = record.tracks, record.target
     step = _step(record, critical_s)
@@ -84,20 +84,21 @@ def situation(record: EpisodeRecord, row: Mapping[str, Any], road: RoadMap) -> d
 
 
 def _step(record: EpisodeRecord, time_s: float) -> int:
-    """Return the last instant up to *time_s* at which the target was there."""
-    there = np.flatnonzero(record.tracks.valid[record.target])
-    upto = there[record.tracks.times_s[there] <= time_s + 1e-6]
-    return int(upto[-1]) if len(upto) else int(there[0]) if len(there) else 0
+    """Return the last instant up to *time_s* at which the target was present."""
+    present = np.flatnonzero(record.tracks.valid[record.target])
+    before = present[record.tracks.times_s[present] <= time_s + 1e-6]
+    return int(before[-1]) if len(before) else int(present[0]) if len(present) else 0
 
 
 def _approach(record: EpisodeRecord, row: Mapping[str, Any], critical_s: float) -> dict[str, Any]:
+    """Return the relative pose of the collision partner before the critical moment, by column."""
     names = ("approach_ahead_m", "approach_left_m", "approach_yaw_rad")
     pose = _pose(record, row["collision_partner"], critical_s - APPROACH_S)
     return dict(zip(names, pose or (None, None, None), strict=True))
 
 
 def _pose(record: EpisodeRecord, other: str | None, time_s: float) -> tuple[float, float, float] | None:
-    """Return how far *other* was ahead and to the left of the target, and its heading less the target's."""
+    """Return distance ahead and to the left of the target, and heading relative to it, of *other*; None if absent."""
     partner = record.tracks.index.get(other) if other else None
     if partner is None:
         return None
@@ -111,13 +112,13 @@ def _pose(record: EpisodeRecord, other: str | None, time_s: float) -> tuple[floa
 
 
 def _other(row: Mapping[str, Any]) -> str | None:
-    """Return who was in the contact, or else who came nearest; None where the target left the road or met nobody."""
+    """Return the collision partner, else the nearest road user; None if the target left the road or met nobody."""
     nearest = None if row["target_collision"] else row["min_clearance_partner"]
     return row["collision_partner"] or nearest
 
 
 def _attack(record: EpisodeRecord, other: str | None, critical_s: float) -> str | None:
-    """Return what *other* did against the target, "natural" for nothing; None where the background does not tell."""
+    """Return the attack of *other* on the target, "natural" for none; None if the background does not record it."""
     if record.manoeuvres is None or other is None:
         return None
     kind, last_s = record.manoeuvres.get(other, (NATURAL, np.inf))
@@ -125,47 +126,48 @@ def _attack(record: EpisodeRecord, other: str | None, critical_s: float) -> str 
 
 
 def _approach_word(record: EpisodeRecord, other: str | None, critical_s: float) -> str | None:
-    """Return one of ``APPROACHES``; None where nobody was near."""
+    """Return one of ``APPROACHES``; None if nobody was near."""
     pose = _pose(record, other, critical_s - APPROACH_S)
     if pose is None:
         return None
-    ahead, left, turned = pose
-    if abs(turned) > _OPPOSITE_RAD:
+    ahead, left, relative_yaw = pose
+    if abs(relative_yaw) > _OPPOSITE_RAD:
         return "oncoming"
-    if abs(turned) > _ALIKE_RAD:
-        return "from_left" if turned < 0.0 else "from_right"
+    if abs(relative_yaw) > _SAME_HEADING_RAD:
+        return "from_left" if relative_yaw < 0.0 else "from_right"
     if abs(left) > _BESIDE_M:
         return "beside_left" if left > 0.0 else "beside_right"
     return "ahead" if ahead > 0.0 else "behind"
 
 
 def _manoeuvre(record: EpisodeRecord, critical_s: float) -> str:
-    """Return one of ``MANOEUVRES``."""
+    """Return the target's manoeuvre, one of ``MANOEUVRES``."""
     tracks, target = record.tracks, record.target
     last, first = _step(record, critical_s), _step(record, critical_s - _MANOEUVRE_S)
     if tracks.valid[target, first] and tracks.valid[target, last]:
         turned = float(wrap_angle(tracks.yaw_rad[target, last] - tracks.yaw_rad[target, first]))
-        if abs(turned) > _TURNS_RAD:
+        if abs(turned) > _TURN_RAD:
             return "turn_left" if turned > 0.0 else "turn_right"
     speed = float(tracks.speed_mps[target, last])
-    return "standing" if np.isfinite(speed) and speed < _STANDS_MPS else "straight"
+    return "standing" if np.isfinite(speed) and speed < _STANDING_MPS else "straight"
 
 
 def _junction_at(road: RoadMap, xy_m: FloatArray) -> Junction | None:
-    """Return the junction at *xy_m*, the nearest where several are; None on the open road."""
+    """Return the nearest junction within reach of *xy_m*; None on the open road."""
     if not np.isfinite(xy_m).all():
         return None
-    best, least = None, AT_JUNCTION_M
+    nearest, least_m = None, AT_JUNCTION_M
     for junction in road.junctions.values():
-        if junction.type in {"dead_end", "internal"} or np.hypot(*(junction.xy_m - xy_m)) > _FARTHEST_M:
+        if junction.type in {"dead_end", "internal"} or np.hypot(*(junction.xy_m - xy_m)) > _MAX_CENTRE_M:
             continue
-        away = _distance_m(junction, xy_m)
-        if away < least:
-            best, least = junction, away
-    return best
+        distance_m = _distance_m(junction, xy_m)
+        if distance_m < least_m:
+            nearest, least_m = junction, distance_m
+    return nearest
 
 
 def _distance_m(junction: Junction, xy_m: FloatArray) -> float:
+    """Return the distance of *xy_m* from the outline of *junction*, or from its centre if it has no outline."""
     if len(junction.shape_xy_m) < 3:
         return float(np.hypot(*(junction.xy_m - xy_m)))
     return float(shapely.distance(shapely.Polygon(junction.shape_xy_m), shapely.Point(xy_m)))

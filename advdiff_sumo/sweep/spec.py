@@ -1,4 +1,4 @@
-"""A sweep file: a grid of nets, targets and backgrounds, a list of cases, or both."""
+"""Read a sweep file: a grid of nets, targets and backgrounds, a list of cases, or both."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 
 
 class Choice(Options):
-    """One target or background of the grid, or several that differ in their options.
+    """One target or background of the grid, or several that differ in their options only.
 
     Attributes:
-        name: as ``--target`` or ``--background`` take it.
-        options: its options, the same for all.
-        vary: option → the values it takes; all combinations are tried.
+        name: name as for ``--target`` or ``--background``.
+        options: options common to all.
+        vary: option → values to try; all combinations are tried.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Choice(Options):
         """Yield the name with each combination of options.
 
         Raises:
-            ConfigError: an option has no value, or stands in ``options`` too.
+            ConfigError: an option has no value, or is also in ``options``.
         """
         for key, values in self.vary.items():
             if not values:
@@ -45,12 +45,12 @@ class Choice(Options):
 
 
 class NetChoice(Options):
-    """Where seed scenes come from.
+    """A source of seed scenes.
 
     Attributes:
-        net: a SUMO net, or the name of a shipped one.
-        demand: route file or SUMO configuration; empty: traffic is generated.
-        scenes: root of a driving log; empty: scenes come out of SUMO traffic.
+        net: file of a SUMO net, or name of a shipped one.
+        demand: route file or SUMO configuration; empty: generated traffic.
+        scenes: root folder of a driving log; empty: scenes from SUMO traffic.
     """
 
     net: str
@@ -59,12 +59,12 @@ class NetChoice(Options):
 
 
 class Grid(Options):
-    """Every net with every target and every background.
+    """Every combination of net, target and background.
 
     Attributes:
         nets: names, files, or tables with ``net``, ``demand`` and ``scenes``.
-        targets: what drives the tested vehicle.
-        backgrounds: what moves the others.
+        targets: drivers of the target.
+        backgrounds: drivers of the background vehicles.
     """
 
     nets: tuple[NetChoice, ...] = (NetChoice(net="downtown"),)
@@ -83,10 +83,10 @@ class Grid(Options):
 
 
 class Case(Options):
-    """One entry of the list: the options of ``advdiff-sumo run``; what it leaves out is the sweep's.
+    """One entry of the list: the options of ``advdiff-sumo run``; missing ones are taken from the sweep.
 
-    Attributes are those of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`; what ``scene`` leaves out is the
-    sweep's, too.
+    Attributes are those of :class:`~advdiff_sumo.sim.run_episodes.RunOptions`. Missing options of ``scene`` are
+    taken from the sweep, too.
     """
 
     net: str = "downtown"
@@ -101,21 +101,21 @@ class Case(Options):
     scene: dict[str, Any] | None = None
 
 
-_Place = TypeVar("_Place", NetChoice, Case)
+_Entry = TypeVar("_Entry", NetChoice, Case)
 
 
 class SweepSpec(Options):
-    """A sweep as its file says.
+    """Content of a sweep file.
 
     Attributes:
         episodes: seed scenes for each net and seed.
         horizon_s: longest duration of an episode.
-        seeds: roots of the random numbers.
-        sim: steps and radii.
-        scene: how seed scenes are chosen.
-        grid: tried in all combinations.
+        seeds: root seeds.
+        sim: time steps and radii.
+        scene: choice of seed scenes.
+        grid: all combinations are tried.
         cases: tried as they are.
-        diverse: whether kinds of attack and seed scenes are chosen for encounters that were not met yet, in rounds.
+        diverse: whether the episodes are chosen in rounds, for kinds of encounter that have not occurred yet.
     """
 
     episodes: int = Field(10, ge=1)
@@ -132,20 +132,20 @@ class SweepSpec(Options):
         """Read a sweep file.
 
         Raises:
-            FileError: it is missing or no TOML.
-            ConfigError: a key is misspelt or a value impossible, or it asks for nothing.
+            FileError: the file is missing or no TOML.
+            ConfigError: a key is misspelt, a value impossible, or no episode is requested.
         """
         content = read_toml(path)
         if content.keys() >= {"run", "options"}:
             raise ConfigError(
                 f"{path}: is the file of a run; repeat it with advdiff-sumo run --config {path}"
             )
-        asked = content.get("sweep", content)  # the sweep.toml that a sweep leaves has it in a table
-        return SweepSpec.of(asked if isinstance(asked, dict) else content, str(path))
+        values = content.get("sweep", content)  # sweep.toml in a sweep's folder has it in a table
+        return SweepSpec.of(values if isinstance(values, dict) else content, str(path))
 
     @staticmethod
     def of(values: Mapping[str, Any], where: str) -> SweepSpec:
-        """Check *values*; *where* they come from begins the message."""
+        """Check *values*; messages begin with *where* they come from."""
         spec = SweepSpec.parse(values, where)
         try:
             cells = list(spec.placed_cells())
@@ -156,41 +156,41 @@ class SweepSpec(Options):
         return spec._absolute()
 
     def _absolute(self) -> SweepSpec:
-        """Return the same with files by their full path, so that it means the same in any folder."""
+        """Return the same spec with full paths, so that it does not depend on the working folder."""
         grid = self.grid
         if grid is not None:
             grid = grid.model_copy(update={"nets": tuple(_absolute(net) for net in grid.nets)})
         return self.model_copy(update={"grid": grid, "cases": tuple(_absolute(case) for case in self.cases)})
 
     def cells(self) -> Iterator[RunOptions]:
-        """Yield the runs that the sweep is made of, the grid's first.
+        """Yield the runs of the sweep, the grid's first.
 
         Raises:
-            ConfigError: a part of the grid is empty, or an option of a case impossible.
+            ConfigError: a part of the grid is empty, or an option of a case is impossible.
         """
         return (options for _, options in self.placed_cells())
 
     def placed_cells(self) -> Iterator[tuple[str, RunOptions]]:
-        """Yield the same runs, each after its place in the list of cases, "cases.0", or "" for the grid."""
+        """Yield the runs of the sweep, each after its place in the file: "cases.0", …, or "" for the grid."""
         if not self.seeds:
             raise ConfigError("seeds is empty; give at least one, such as seeds = [0]")
         if self.grid is not None:
             yield from self._grid_cells(self.grid)
         for number, case in enumerate(self.cases):
             where = f"cases.{number}"
-            own = case.model_dump(exclude={"seed", "episodes", "scene"})
-            own["scene"] = self._scene_of(case, where)
+            values = case.model_dump(exclude={"seed", "episodes", "scene"})
+            values["scene"] = self._scene_of(case, where)
             for seed in self.seeds if case.seed is None else (case.seed,):
-                yield where, self._cell(where, seed, case.episodes or self.episodes, own)
+                yield where, self._cell(where, seed, case.episodes or self.episodes, values)
 
     def _grid_cells(self, grid: Grid) -> Iterator[tuple[str, RunOptions]]:
         for name in ("nets", "targets", "backgrounds"):
             if not getattr(grid, name):
                 raise ConfigError(f"the grid is empty: grid.{name} has no entry; name at least one")
-        targets = list(_all(grid.targets, "grid.targets"))
-        backgrounds = list(_all(grid.backgrounds, "grid.backgrounds"))
+        targets = list(_combinations(grid.targets, "grid.targets"))
+        backgrounds = list(_combinations(grid.backgrounds, "grid.backgrounds"))
         for net, seed, target, background in product(grid.nets, self.seeds, targets, backgrounds):
-            own = {
+            values = {
                 **net.model_dump(),
                 "target": target[0],
                 "target_options": target[1],
@@ -198,11 +198,11 @@ class SweepSpec(Options):
                 "background_options": background[1],
                 "scene": self.scene,
             }
-            yield "", self._cell("grid", seed, self.episodes, own)
+            yield "", self._cell("grid", seed, self.episodes, values)
 
-    def _cell(self, where: str, seed: int, episodes: int, own: Mapping[str, Any]) -> RunOptions:
+    def _cell(self, where: str, seed: int, episodes: int, values: Mapping[str, Any]) -> RunOptions:
         shared = {"seed": seed, "episodes": episodes, "horizon_s": self.horizon_s, "sim": self.sim}
-        return RunOptions.parse({**own, **shared}, where)
+        return RunOptions.parse({**values, **shared}, where)
 
     def _scene_of(self, case: Case, where: str) -> SceneOptions:
         if case.scene is None:
@@ -210,12 +210,12 @@ class SweepSpec(Options):
         return SceneOptions.parse({**self.scene.model_dump(), **case.scene}, f"{where}.scene")
 
 
-def _absolute(place: _Place) -> _Place:
-    files = {name: getattr(place, name) for name in ("demand", "scenes")}
-    resolved = {name: str(Path(file).resolve()) for name, file in files.items() if file}
-    return place.model_copy(update={"net": net_name(place.net), **resolved})
+def _absolute(entry: _Entry) -> _Entry:
+    files = {name: getattr(entry, name) for name in ("demand", "scenes")}
+    paths = {name: str(Path(file).resolve()) for name, file in files.items() if file}
+    return entry.model_copy(update={"net": net_name(entry.net), **paths})
 
 
-def _all(choices: Sequence[Choice], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
+def _combinations(choices: Sequence[Choice], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
     for k, choice in enumerate(choices):
         yield from choice.combinations(f"{where}.{k}")

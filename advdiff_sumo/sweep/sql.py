@@ -1,4 +1,4 @@
-"""SQL over the tables of a run or sweep, through DuckDB."""
+"""Query the tables of a run or sweep by SQL, through DuckDB."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from advdiff_sumo.sweep.sweep_columns import SWEEP_TABLES
 
 
 def query(folder: Path, sql: str, instead: Mapping[str, pa.Table]) -> pa.Table:
-    """Return the answer to *sql* over the views of the tables in *folder*, such as episodes and states.
+    """Return the result of *sql* over views of the tables in *folder*, such as episodes and states.
 
     Args:
-        folder: of a run or sweep.
-        sql: what is asked.
-        instead: tables that stand for those of their names in the folder.
+        folder: folder of a run or sweep.
+        sql: the query.
+        instead: tables by name that replace those in the folder.
 
     Raises:
         MissingExtraError: DuckDB is not installed.
@@ -28,20 +28,19 @@ def query(folder: Path, sql: str, instead: Mapping[str, pa.Table]) -> pa.Table:
         import duckdb  # late: an extra
     except ImportError:
         raise MissingExtraError("results --sql", "sql") from None
-    with duckdb.connect(":memory:", config={"threads": 1}) as base:
+    with duckdb.connect(":memory:", config={"threads": 1}) as database:
         for name, columns in SWEEP_TABLES.items():
             file = folder / f"{name}.parquet"
-            if (
-                name in instead or not file.exists()
-            ):  # a run that is going on, or of an earlier version, lacks some
-                base.register(name, instead.get(name, schema_of(columns).empty_table()))
+            # an unfinished run, or one of an earlier version, lacks some tables
+            if name in instead or not file.exists():
+                database.register(name, instead.get(name, schema_of(columns).empty_table()))
             else:
-                base.read_parquet(str(file)).create_view(name)
+                database.read_parquet(str(file)).create_view(name)
         try:
-            answer = base.sql(sql)
-            if answer is None:
+            result = database.sql(sql)
+            if result is None:
                 raise ConfigError(f"--sql: {sql} asks for nothing; begin with select")
-            table: pa.Table = answer.to_arrow_table()
+            table: pa.Table = result.to_arrow_table()
             return table
         except duckdb.Error as error:
             raise ConfigError(f"--sql: {error}") from None

@@ -1,10 +1,14 @@
-"""Which episodes a diverse sweep runs next: those that are likely to fill empty cells of its archive.
+"""Choose the next episodes of a diverse sweep: those likely to fill empty cells of its archive.
 
-The chance that an episode fills a cell is taken as that of a valid failure (by target, net and kind of attack asked
-for, and by how often somebody could attack then, and in that seed scene) times that of the kind met and the approach
-(by target and kind asked for) times that of the target's manoeuvre (by seed scene, once it has been driven, else by
-net), each from smoothed counts. Episodes are picked one by one; each leaves the cells less empty by its chance of
-filling them. All of it follows from the results of the rounds before, so that it does not depend on the workers.
+The chance that an episode fills a cell is a product of three factors, each from smoothed counts:
+
+1. the chance of a valid failure: by target, net and requested kind of attack, by how often a vehicle could attack
+   there, and by how often one could attack in that seed scene;
+2. the chance of the observed kind of attack and approach: by target and requested kind;
+3. the chance of the target's manoeuvre: by seed scene once it has been driven, else by net.
+
+Episodes are picked one by one. Each reduces the emptiness of the cells by its chance of filling them. All depends
+on the results of earlier rounds only, not on the workers.
 """
 
 from __future__ import annotations
@@ -21,25 +25,25 @@ Row: TypeAlias = Mapping[str, Any]
 _Name = TypeVar("_Name")
 
 _FIRST_FAILURES, _FIRST_EPISODES = 1.0, 3.0
-"""Added to the counts of valid failures and episodes: hardly tried kinds are worth a try."""
+"""Added to the counts of valid failures and episodes, so that rarely tried kinds are tried."""
 _SMOOTHING = 0.1
 """Added to the count of each approach and manoeuvre."""
 _NEAR_MISS = 0.5
-"""What a critical near miss counts beside a valid failure."""
+"""Weight of a critical near miss; a valid failure has weight 1."""
 _SAME_MANOEUVRE = 0.8
-"""Chance that a target does in a seed scene what it did there before."""
+"""Chance that a target repeats its earlier manoeuvre in a seed scene."""
 
 
 class Arm(NamedTuple):
-    """Episodes that are alike before they are run.
+    """A class of episodes that cannot be told apart before they are run.
 
     Attributes:
-        target: with its options.
-        net: where.
-        kind: of the attack.
-        manoeuvre: of the target in that seed scene; "" where none of its episodes has been run.
-        tried: episodes of that seed scene and target that were run, or are picked.
-        met: those of them in which somebody could attack.
+        target: target with its options.
+        net: the net.
+        kind: requested kind of attack.
+        manoeuvre: the target's manoeuvre in that seed scene; "" if it has not been driven yet.
+        tried: episodes of that seed scene and target that were run or picked.
+        met: those of them in which a vehicle could attack.
     """
 
     target: str
@@ -55,10 +59,10 @@ class Candidate:
     """An episode that could be run.
 
     Attributes:
-        key: of the episode.
-        target: with its options.
-        net: where.
-        kind: of the attack.
+        key: key of the episode.
+        target: target with its options.
+        net: the net.
+        kind: requested kind of attack.
         scene: key of its seed scene.
     """
 
@@ -71,19 +75,19 @@ class Candidate:
 
 @dataclass
 class Steering:
-    """What the results so far say.
+    """Counts from the results so far.
 
     Attributes:
-        episodes: (target, net, kind) → how many were run, or are picked.
-        attacked: (target, net, kind) → those in which somebody could attack.
-        failures: (target, net, kind) → valid failures, and near misses at half their worth.
-        outcomes: (target, kind asked for) → (kind met, approach) → count.
-        manoeuvres: net → manoeuvre → count.
+        episodes: (target, net, kind) → episodes that were run or picked.
+        attacked: (target, net, kind) → those in which a vehicle could attack.
+        failures: (target, net, kind) → valid failures, plus near misses with half weight.
+        outcomes: (target, requested kind) → (observed kind, approach) → count.
+        manoeuvres: net → manoeuvre of the target → count.
         driven: (target, seed scene) → manoeuvre of the target.
-        tried: (target, seed scene) → episodes that were run, or are picked.
-        met: (target, seed scene) → those in which somebody could attack.
-        emptiness: (target, cell) → chance that it is still empty; 1 where absent.
-        kinds: of the candidates, which an episode of "any" may come to.
+        tried: (target, seed scene) → episodes that were run or picked.
+        met: (target, seed scene) → those in which a vehicle could attack.
+        emptiness: (target, cell) → chance that the cell is still empty; 1 if absent.
+        kinds: kinds of the candidates; an episode of kind "any" may have any of them.
     """
 
     episodes: Counter[tuple[str, str, str]] = field(default_factory=Counter)
@@ -99,15 +103,17 @@ class Steering:
 
     @staticmethod
     def after(results: Iterable[tuple[Candidate, Row | None]]) -> Steering:
-        """Return what the *results* of episodes say; None stands for one without a row."""
+        """Return the counts from the *results* of episodes; None stands for an episode without a row."""
         steering = Steering()
         for candidate, row in results:
             steering._learn(candidate, row)
         return steering
 
     def _learn(self, candidate: Candidate, row: Row | None) -> None:
-        place, scene = (candidate.target, candidate.net, candidate.kind), (candidate.target, candidate.scene)
-        self.episodes[place] += 1
+        """Count one result."""
+        target = candidate.target
+        arm_key, scene = (target, candidate.net, candidate.kind), (target, candidate.scene)
+        self.episodes[arm_key] += 1
         self.tried[scene] += 1
         if row is None or is_failure(row):
             return
@@ -117,70 +123,73 @@ class Steering:
         if cell is None:
             return
         self.met[scene] += 1
-        self.attacked[place] += 1
+        self.attacked[arm_key] += 1
         outcomes = self.outcomes.setdefault((candidate.target, candidate.kind), Counter())
         outcomes[cell.kind, cell.approach] += 1
-        worth = 1.0 if is_valid_failure(row) else _NEAR_MISS if row["critical"] else 0.0
-        self.failures[place] = self.failures.get(place, 0.0) + worth
-        if worth == 1.0:
+        weight = 1.0 if is_valid_failure(row) else _NEAR_MISS if row["critical"] else 0.0
+        self.failures[arm_key] = self.failures.get(arm_key, 0.0) + weight
+        if weight == 1.0:
             self.emptiness[candidate.target, cell] = 0.0
 
     def pick(self, candidates: Sequence[Candidate], count: int) -> list[str]:
-        """Return the keys of the *count* most promising of *candidates*, which are in the sweep's order."""
-        left = dict.fromkeys(candidates)
-        self.kinds = tuple(dict.fromkeys(one.kind for one in candidates if one.kind != ANY))
+        """Return the keys of the *count* most promising *candidates*, which must be in the sweep's order."""
+        remaining = dict.fromkeys(candidates)
+        self.kinds = tuple(dict.fromkeys(candidate.kind for candidate in candidates if candidate.kind != ANY))
         chosen: list[str] = []
-        while left and len(chosen) < count:
-            promises: dict[Arm, float] = {}
-            for one in left:
-                arm = self._arm(one)
-                if arm not in promises:
-                    promises[arm] = self._promise(arm)
-            best = max(left, key=lambda one: promises[self._arm(one)])  # the first of equals
+        while remaining and len(chosen) < count:
+            promise_of: dict[Arm, float] = {}
+            for candidate in remaining:
+                arm = self._arm(candidate)
+                if arm not in promise_of:
+                    promise_of[arm] = self._promise(arm)
+            best = max(remaining, key=lambda option: promise_of[self._arm(option)])  # the first of equals
             chosen.append(best.key)
             self._expect(best)
-            del left[best]
+            del remaining[best]
         return chosen
 
-    def _arm(self, one: Candidate) -> Arm:
-        scene = (one.target, one.scene)
-        driven = self.driven.get(scene, "")
-        return Arm(one.target, one.net, one.kind, driven, self.tried[scene], self.met[scene])
+    def _arm(self, candidate: Candidate) -> Arm:
+        """Return the arm of *candidate*."""
+        scene = (candidate.target, candidate.scene)
+        manoeuvre = self.driven.get(scene, "")
+        known = manoeuvre, self.tried[scene], self.met[scene]
+        return Arm(candidate.target, candidate.net, candidate.kind, *known)
 
     def _promise(self, arm: Arm) -> float:
-        """Return how many empty cells an episode of *arm* is expected to fill."""
-        return sum(share * self.emptiness.get((arm.target, cell), 1.0) for cell, share in self._chances(arm))
+        """Return the expected number of empty cells that an episode of *arm* fills."""
+        return sum(p * self.emptiness.get((arm.target, cell), 1.0) for cell, p in self._chances(arm))
 
-    def _expect(self, one: Candidate) -> None:
-        """Count *one* as run, with what it is expected to fill."""
-        arm = self._arm(one)
+    def _expect(self, candidate: Candidate) -> None:
+        """Count *candidate* as picked, and reduce the emptiness of the cells that it may fill."""
+        arm = self._arm(candidate)
         chances = list(self._chances(arm))
-        for cell, share in chances:
-            self.emptiness[arm.target, cell] = self.emptiness.get((arm.target, cell), 1.0) * (1.0 - share)
+        for cell, chance in chances:
+            self.emptiness[arm.target, cell] = self.emptiness.get((arm.target, cell), 1.0) * (1.0 - chance)
         self.episodes[arm.target, arm.net, arm.kind] += 1
-        self.tried[one.target, one.scene] += 1
+        self.tried[candidate.target, candidate.scene] += 1
 
     def _chances(self, arm: Arm) -> Iterable[tuple[ArchiveCell, float]]:
-        """Yield (cell, chance that an episode of *arm* fails validly in it)."""
-        place = (arm.target, arm.net, arm.kind)
-        attacked = self.attacked[place]
-        fails = (self.failures.get(place, 0.0) + _FIRST_FAILURES) / (attacked + _FIRST_EPISODES)
-        fails *= (attacked + 1.0) / (self.episodes[place] + 1.0) * (arm.met + 1.0) / (arm.tried + 1.0)
-        met = self.outcomes.get((arm.target, arm.kind), Counter())
+        """Yield each cell with the chance that an episode of *arm* fails validly in it."""
+        arm_key = (arm.target, arm.net, arm.kind)
+        attacked = self.attacked[arm_key]
+        p_failure = (self.failures.get(arm_key, 0.0) + _FIRST_FAILURES) / (attacked + _FIRST_EPISODES)
+        p_failure *= (attacked + 1.0) / (self.episodes[arm_key] + 1.0) * (arm.met + 1.0) / (arm.tried + 1.0)
+        observed = self.outcomes.get((arm.target, arm.kind), Counter())
         kinds = (arm.kind,) if arm.kind != ANY else self.kinds
         expected = [(kind, approach) for kind in kinds for approach in APPROACHES]
-        outcomes = _shares(met, list(dict.fromkeys((*expected, *met))))
+        outcomes = _shares(observed, list(dict.fromkeys((*expected, *observed))))
         manoeuvres = _shares(self.manoeuvres.get(arm.net, Counter()), MANOEUVRES)
         if arm.manoeuvre:
             manoeuvres = {
                 name: _SAME_MANOEUVRE * (name == arm.manoeuvre) + (1.0 - _SAME_MANOEUVRE) * share
                 for name, share in manoeuvres.items()
             }
-        for (kind, approach), likely in outcomes.items():
-            for manoeuvre, as_likely in manoeuvres.items():
-                yield ArchiveCell(kind, approach, manoeuvre), fails * likely * as_likely
+        for (kind, approach), p_outcome in outcomes.items():
+            for manoeuvre, p_manoeuvre in manoeuvres.items():
+                yield ArchiveCell(kind, approach, manoeuvre), p_failure * p_outcome * p_manoeuvre
 
 
 def _shares(counts: Counter[_Name], names: Sequence[_Name]) -> dict[_Name, float]:
+    """Return the smoothed share of each name."""
     total = sum(counts[name] for name in names) + _SMOOTHING * len(names)
     return {name: (counts[name] + _SMOOTHING) / total for name in names}

@@ -1,4 +1,4 @@
-"""The one file of a finished episode: its rows of every table, or why there are none."""
+"""Convert a finished episode to and from its one file: its rows of every table, and its failure."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ import pyarrow.parquet as pq
 from advdiff_sumo.sweep.tasks import Failed
 
 _FAILURE, _EPISODES = "failure.json", "episodes.parquet"
-_EPOCH = (1980, 1, 1, 0, 0, 0)
+_TIME_STAMP = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
 class StoredEpisode:
-    """What one episode came to.
+    """Stored form of one episode.
 
     Attributes:
-        tables: its rows by table; empty when it never finished.
-        failed: why it failed, if it did; an episode in which the planner raised has rows too.
+        tables: its rows by table; empty if it never finished.
+        failed: why it failed; None if it did not. An episode whose planner raised has rows, too.
     """
 
     tables: Mapping[str, pa.Table]
     failed: Failed | None
 
     def to_bytes(self) -> bytes:
-        """Return the file's content; the same part gives the same bytes."""
+        """Return the file's content; equal episodes give equal bytes."""
         entries = {f"{name}.parquet": _parquet(table) for name, table in self.tables.items()}
         if self.failed is not None:
             entries[_FAILURE] = json.dumps(asdict(self.failed)).encode()
@@ -39,7 +39,7 @@ class StoredEpisode:
 
     @staticmethod
     def from_bytes(content: bytes) -> StoredEpisode:
-        """Return the part of :meth:`to_bytes`."""
+        """Return the episode written by :meth:`to_bytes`."""
         entries = unpack(content)
         failure = entries.pop(_FAILURE, None)
         tables = {name.removesuffix(".parquet"): _table(entry) for name, entry in entries.items()}
@@ -47,7 +47,7 @@ class StoredEpisode:
 
     @staticmethod
     def glance(content: bytes) -> tuple[dict[str, Any] | None, Failed | None]:
-        """Return the row of ``episodes`` and the failure of a part, without reading its other tables."""
+        """Return the row of ``episodes`` and the failure, without reading the other tables."""
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             names = set(archive.namelist())
             row = failed = None
@@ -59,16 +59,16 @@ class StoredEpisode:
 
 
 def pack(entries: Mapping[str, bytes]) -> bytes:
-    """Return an archive of *entries* that does not tell when it was made."""
+    """Return an archive of *entries* without time stamps."""
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:
         for name, content in entries.items():
-            archive.writestr(zipfile.ZipInfo(name, _EPOCH), content)
+            archive.writestr(zipfile.ZipInfo(name, _TIME_STAMP), content)
     return sink.getvalue()
 
 
 def unpack(content: bytes) -> dict[str, bytes]:
-    """Return the entries of :func:`pack`."""
+    """Return the entries of an archive made by :func:`pack`."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
@@ -80,9 +80,9 @@ def _parquet(table: pa.Table) -> bytes:
 
 
 def _table(content: bytes) -> pa.Table:
-    """Return what :func:`_parquet` was made of.
+    """Return the table written by :func:`_parquet`.
 
-    ``pq.read_table`` imports more of PyArrow when it is first called, and loses a Ctrl-C that comes meanwhile; threads
-    that have just read can abort a process that ends (apache/arrow#34314).
+    ``pq.read_table`` imports more of PyArrow at its first call, and loses a Ctrl-C that arrives then. Reader threads
+    can abort a process that ends shortly after reading (apache/arrow#34314).
     """
     return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)

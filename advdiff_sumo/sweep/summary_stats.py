@@ -1,4 +1,4 @@
-"""Rates of a sweep with their intervals, for its summary and for conditions."""
+"""Compute the rates of a sweep with their intervals, for its summary and for conditions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Row: TypeAlias = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Event:
-    """What may happen in an episode.
+    """An event that may occur in an episode.
 
     Attributes:
-        label: for people.
-        happened: whether it did, as a row of ``episodes`` tells.
-        known_by: the column without which nobody knows: folders of earlier versions have no verdicts.
+        label: name in reports.
+        happened: returns whether it occurred, from a row of ``episodes``.
+        known_by: column that must be present to know: folders of earlier versions have no verdicts.
     """
 
     label: str
@@ -36,7 +36,7 @@ EVENTS: Mapping[str, Event] = {
     "fault_rate": Event("… target at fault", lambda row: row["at_fault"] == "target", "target_collision"),
     "completion_rate": Event("route completed", lambda row: bool(row["route_completed"]), "route_completed"),
 }
-"""By the name of the rate at which it happens."""
+"""Events by the name of their rate."""
 _MEDIANS = ("min_ttc_s", "min_pet_s", "min_clearance_m", "max_drac_mps2", "brake_max_mps2", "jerk_max_mps3")
 #: Every name that a condition may use.
 FIGURE_NAMES = frozenset(
@@ -48,14 +48,14 @@ FIGURE_NAMES = frozenset(
 
 @dataclass(frozen=True)
 class Figures:
-    """What a sweep, or a part of it, came to.
+    """Results of a sweep or a part of it.
 
     Attributes:
-        episodes: with a row, finished or not, and those that failed without one.
-        rates: by name; those of failures out of all episodes, the others out of those with an outcome (and a verdict):
-            finished, or failed after a collision of the target.
-        medians: over the episodes with an outcome in which the value is defined.
-        missing: episodes that have not been run.
+        episodes: number of episodes with a row, finished or not, and of those that failed without one.
+        rates: rates by name. That of failures is out of all episodes. The others are out of those with an outcome
+            (and a verdict): finished, or failed after a collision of the target.
+        medians: medians over the episodes with an outcome in which the value is defined.
+        missing: number of episodes that have not been run.
     """
 
     episodes: int
@@ -65,13 +65,13 @@ class Figures:
 
     @staticmethod
     def of(episodes: Sequence[Row], failures: Sequence[Row], missing: int = 0) -> Figures:
-        """Return the figures of rows of ``episodes`` and ``failures``."""
+        """Return the figures of *episodes* and *failures*, rows of the tables of these names."""
         total = sum(not is_failure(row) for row in episodes) + len(failures)
         counted = [row for row in episodes if has_outcome(row)]
         rates = {name: _rate(counted, event) for name, event in EVENTS.items()}
         rates["failure_rate"] = Rate.of(len(failures), total)
-        values = {c: [row[c] for row in counted if row[c] is not None] for c in _MEDIANS}
-        medians = {name: float(median(known)) if known else None for name, known in values.items()}
+        values = {column: [row[column] for row in counted if row[column] is not None] for column in _MEDIANS}
+        medians = {name: float(median(defined)) if defined else None for name, defined in values.items()}
         return Figures(total, rates, medians, missing)
 
     def named(self) -> dict[str, float | None]:
@@ -90,18 +90,19 @@ class Figures:
         return named | {f"median_{name}": value for name, value in self.medians.items()}
 
 
-def _rate(counted: Sequence[Row], event: Event) -> Rate:
-    known = [row for row in counted if row.get(event.known_by) is not None]
+def _rate(rows: Sequence[Row], event: Event) -> Rate:
+    """Return the rate of *event* among the rows in which it is known."""
+    known = [row for row in rows if row.get(event.known_by) is not None]
     return Rate.of(sum(map(event.happened, known)), len(known))
 
 
 def by_kind(
     episodes: Sequence[Row], failures: Sequence[Row], columns: Sequence[str]
 ) -> dict[tuple[str, ...], Figures]:
-    """Return the figures of each combination of values of *columns*, in the order of first appearance."""
+    """Return the figures for each combination of values of *columns*, in order of first appearance."""
     kinds: dict[tuple[str, ...], tuple[list[Row], list[Row]]] = {}
-    for which, rows in enumerate((episodes, failures)):
+    for table_index, rows in enumerate((episodes, failures)):
         for row in rows:
             key = tuple(str(row[column]) for column in columns)
-            kinds.setdefault(key, ([], []))[which].append(row)
+            kinds.setdefault(key, ([], []))[table_index].append(row)
     return {key: Figures.of(*rows) for key, rows in kinds.items()}

@@ -1,4 +1,4 @@
-"""The tables of a sweep: those of a run, with what tells its episodes apart."""
+"""Define the tables of a sweep: those of a run, plus columns that identify the episode."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
 
 
 def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
-    """Return the values of ``JOB_COLUMNS``."""
-    own = options.background_options
+    """Return the values of ``JOB_COLUMNS`` for *job*, whose run has *options*."""
+    background_options = options.background_options
     return {
         "episode": job.index,
         "key": job.key,
@@ -70,12 +70,15 @@ def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
         "target": options.target,
         "target_options": canonical(options.target_options),
         "background": options.background,
-        "background_options": canonical(own),
-        "attack": _word(own.get("attack", own.get("attacks", options.background))),
+        "background_options": canonical(background_options),
+        "attack": _word(
+            background_options.get("attack", background_options.get("attacks", options.background))
+        ),
         "root_seed": options.seed,
         "number": job.number,
     }
 
 
 def _word(value: Any) -> str:
+    """Return a value of an option as one word."""
     return "+".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -1,4 +1,4 @@
-"""A sweep from its plan to its tables."""
+"""Run a sweep from its plan to its tables."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from advdiff_sumo.sweep.scheduler import Scheduler, Tell
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 
-_BALLAST_BYTES_A_SLOT = 4 << 20
+_BALLAST_BYTES_A_SLOT = 4 << 20  # disk space reserved for each running episode
 
 
 @dataclass(frozen=True)
 class RemainingJobs:
-    """What is left of a sweep.
+    """The episodes that a sweep still lacks.
 
     Attributes:
-        jobs: episodes to run; of a diverse sweep those that have been chosen already.
-        done: how many are there.
-        total: how many there will be.
+        jobs: episodes to run; in a diverse sweep, those already chosen.
+        done: number of finished episodes.
+        total: number of episodes when the sweep is complete.
     """
 
     jobs: tuple[Job, ...]
@@ -39,32 +39,32 @@ class RemainingJobs:
     def of(
         plan: SweepPlan, store: Store | None, limit: int | None = None, retry_failed: bool = False
     ) -> RemainingJobs:
-        """Return what of the first *limit* episodes is missing or damaged in *store*.
+        """Return which of the first *limit* episodes are missing or damaged in *store*.
 
         Args:
             plan: the sweep.
-            store: its folder; None before there is one.
-            limit: consider only so many.
-            retry_failed: run those again that failed.
+            store: its folder; None if there is none yet.
+            limit: number of episodes to consider; None for all.
+            retry_failed: whether failed episodes count as missing.
         """
         total = plan.wanted if limit is None else min(limit, plan.wanted)
-        wanted = chosen_so_far(plan, store).jobs[:total]
-        jobs = tuple(job for job in wanted if store is None or not store.is_done(job.key, retry_failed))
-        return RemainingJobs(jobs, len(wanted) - len(jobs), total)
+        chosen = chosen_so_far(plan, store).jobs[:total]
+        jobs = tuple(job for job in chosen if store is None or not store.is_done(job.key, retry_failed))
+        return RemainingJobs(jobs, len(chosen) - len(jobs), total)
 
     def ahead(self, plan: SweepPlan) -> Sequence[Job]:
-        """Return as many episodes as are to be run, those of a diverse sweep spread over what it chooses from."""
-        left = self.total - self.done
-        if not plan.spec.diverse or not left:
+        """Return as many episodes as are left to run; in a diverse sweep, a sample spread over all candidates."""
+        count = self.total - self.done
+        if not plan.spec.diverse or not count:
             return self.jobs
-        return [plan.jobs[k * len(plan.jobs) // left] for k in range(left)]
+        return [plan.jobs[k * len(plan.jobs) // count] for k in range(count)]
 
 
 class EpisodeCount:
-    """Counts a sweep's episodes that ended in a collision, and those that failed.
+    """Counts the episodes of a sweep that ended in a collision, and those that failed.
 
     Args:
-        step: called with what it has come to, after every episode.
+        step: called with the counts as text after every episode.
     """
 
     def __init__(self, step: Callable[[str], None]) -> None:
@@ -79,17 +79,17 @@ class EpisodeCount:
 
 
 def settings_of(plan: SweepPlan) -> dict[str, Any]:
-    """Return what ``sweep.toml`` holds."""
+    """Return the content of ``sweep.toml``."""
     return {
         "made_by": versions()
-        | code_digests(name for one in plan.cells for name in (one.target, one.background)),
+        | code_digests(name for cell in plan.cells for name in (cell.target, cell.background)),
         "keys": plan.keys,
         "sweep": plan.spec.model_dump(mode="json", exclude_none=True),
     }
 
 
 def open_store(path: Path, plan: SweepPlan, workers: int, resume: bool) -> Store:
-    """Return the store of a new sweep in *path*, or of the one that is there already.
+    """Return the store of a new sweep in *path*, or with *resume* of the one already there.
 
     Raises:
         InputError: the folder cannot be used for this sweep.
@@ -103,18 +103,18 @@ def open_store(path: Path, plan: SweepPlan, workers: int, resume: bool) -> Store
 def run_sweep(
     plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int, tell: Tell
 ) -> int:
-    """Run what is left and put the tables together; return how many episodes are missing.
+    """Run the remaining episodes and write the tables; return the number of missing episodes.
 
     Args:
         plan: the sweep.
         store: its folder.
-        todo: what is left.
-        executor: who does it.
-        retries: how often an episode whose worker died is tried again.
-        tell: called with every episode that was stored.
+        todo: the remaining episodes.
+        executor: runs the tasks.
+        retries: number of further attempts if the worker of an episode dies.
+        tell: called with every stored episode.
 
     Raises:
-        FileError: results cannot be stored; what had finished is.
+        FileError: results cannot be stored; finished episodes are kept.
     """
     try:
         with executor:
@@ -130,7 +130,7 @@ def run_sweep(
 
 
 def _parts(plan: SweepPlan, store: Store, todo: RemainingJobs) -> Iterator[tuple[SweepPlan, Sequence[Job]]]:
-    """Yield what is run together: all that is left, or of a diverse sweep what was chosen, then its further rounds."""
+    """Yield what is run together: the remaining episodes, then the further rounds of a diverse sweep."""
     yield chosen_so_far(plan, store), todo.jobs
     if plan.spec.diverse:
         for present, jobs in rounds(plan, store, todo.total):

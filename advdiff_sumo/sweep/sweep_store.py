@@ -1,4 +1,4 @@
-"""A sweep's folder: what was asked, the seed scenes while they are needed, and one file an episode."""
+"""Manage a sweep's folder: its settings, seed scenes while they are needed, and one file an episode."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ from advdiff_sumo.sweep.sweep_files import (
 )
 
 _EPISODES, _SCENES, _BALLAST = "episodes", "scenes", "ballast"
-_KEPT_BATCHES = 4
-_WANTED = "wanted"
+_CACHED_BATCHES = 4
+_WANTED = "wanted"  # entry of a batch's file: how many seed scenes were wanted
 
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of a sweep; only the process that leads the sweep writes to it.
+    """The folder of a sweep; only the process that runs the sweep writes to it.
 
     Attributes:
         path: the folder.
     """
 
     path: Path
-    _recent: OrderedDict[str, Mapping[str, bytes]] = field(default_factory=OrderedDict)
+    _batch_cache: OrderedDict[str, Mapping[str, bytes]] = field(default_factory=OrderedDict)
 
     # --- the folder --------------------------------------------------------------------------------------
 
     @staticmethod
     def create(path: Path, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
-        """Make a new folder for a sweep.
+        """Create a folder for a new sweep.
 
         Args:
-            path: new or empty.
-            settings: what ``sweep.toml`` holds.
-            ballast_bytes: room kept back, so that what is being computed can be stored when the disk is full.
+            path: a new or empty folder.
+            settings: content of ``sweep.toml``.
+            ballast_bytes: disk space to reserve, so that running episodes can be stored when the disk is full.
 
         Raises:
-            FileError: it holds something, or cannot be written.
+            FileError: the folder is not empty, or cannot be written.
         """
         if (path / SWEEP_SETTINGS).exists():
             raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
@@ -73,22 +73,22 @@ class Store:
 
     @staticmethod
     def resume(path: Path, spec: SweepSpec | None, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
-        """Go on in the folder of a sweep; *settings* are written when the old ones are damaged.
+        """Continue in the folder of a sweep; ``sweep.toml`` is written anew from *settings*.
 
         Raises:
-            FileError: it holds no sweep, or cannot be written.
-            ConfigError: it belongs to another sweep than *spec*.
+            FileError: the folder holds no sweep, or cannot be written.
+            ConfigError: its sweep differs from *spec*.
         """
-        begun = Store.open(path)
+        stored = Store.open(path)
         if spec is not None:
-            must_equal(path, begun.spec(), spec)
-        begun.must_match(str(settings.get("keys", "")))
-        settings = with_earlier(settings, "made_by", {"made_by": begun.made_by()})
+            must_equal(path, stored.spec(), spec)
+        stored.must_match(str(settings.get("keys", "")))
+        settings = with_earlier(settings, "made_by", {"made_by": stored.made_by()})
         return Store(path)._begin(settings, ballast_bytes)
 
     @staticmethod
     def open(path: Path) -> Store:
-        """Open the folder of a sweep to read.
+        """Open the folder of a sweep for reading.
 
         Raises:
             FileError: it holds no sweep.
@@ -101,21 +101,21 @@ class Store:
         raise FileError(path, "holds no sweep", "give the folder that advdiff-sumo sweep wrote")
 
     def spec(self) -> SweepSpec:
-        """Return what was asked.
+        """Return the stored content of the sweep file.
 
         Raises:
             InputError: ``sweep.toml`` is damaged.
         """
         content = read_toml(self.path / SWEEP_SETTINGS)
-        asked = content.get("sweep")
-        if not isinstance(asked, dict):
+        values = content.get("sweep")
+        if not isinstance(values, dict):
             raise FileError(
                 self.path / SWEEP_SETTINGS, "has no [sweep]", "it is damaged; begin again with a new --out"
             )
-        return SweepSpec.of(asked, str(self.path / SWEEP_SETTINGS))
+        return SweepSpec.of(values, str(self.path / SWEEP_SETTINGS))
 
     def made_by(self) -> Mapping[str, Any]:
-        """Return the versions and the digests of code that it was made with, and under ``begun_with`` earlier ones.
+        """Return the versions and digests of code that made the sweep; earlier ones are under ``begun_with``.
 
         Raises:
             InputError: ``sweep.toml`` is damaged.
@@ -124,40 +124,42 @@ class Store:
         return made_by
 
     def must_match(self, keys: str) -> None:
-        """Refuse the folder when what the keys of its episodes are made of has changed since.
+        """Check that the keys of the episodes are still the same.
 
         Args:
-            keys: digest of all keys of the plan made now.
+            keys: digest of all keys of the present plan.
 
         Raises:
-            ConfigError: a net, demand or log is not what it was.
+            ConfigError: a net, demand, log or file of weights has changed.
         """
-        begun = read_toml(self.path / SWEEP_SETTINGS).get("keys", keys)
-        if begun != keys:
+        stored_keys = read_toml(self.path / SWEEP_SETTINGS).get("keys", keys)
+        if stored_keys != keys:
             raise ConfigError(
                 f"{self.path}: a net, demand or log is not what it was when that sweep was begun, "
                 "or a file of weights; put the old one back, or begin a new sweep"
             )
 
     def _begin(self, settings: Mapping[str, Any], ballast_bytes: int) -> Store:
+        """Prepare the folder and write ``sweep.toml``."""
         self.prepare(ballast_bytes)
         write_whole(self.path / SWEEP_SETTINGS, tomli_w.dumps(settings).encode())
         return self
 
     def prepare(self, ballast_bytes: int) -> None:
-        """Make the folders for episodes and seed scenes, and keep room back; see :meth:`create`."""
+        """Create the folders for episodes and seed scenes, and reserve disk space; see :meth:`create`."""
         try:
             for name in (_EPISODES, _SCENES):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
-            for rest in self.path.rglob(f"*{ASIDE}"):
-                rest.unlink()  # of a process that was killed
+            for leftover in self.path.rglob(f"*{ASIDE}"):
+                leftover.unlink()  # left by a killed process
             if ballast_bytes:
-                self._load_ballast(ballast_bytes)
+                self._reserve(ballast_bytes)
         except OSError as error:
             self.drop_ballast()
             raise unwritable(self.path, error) from None
 
-    def _load_ballast(self, size: int) -> None:
+    def _reserve(self, size: int) -> None:
+        """Reserve *size* bytes of disk space."""
         with (self.path / _BALLAST).open("wb") as file:
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
@@ -165,12 +167,12 @@ class Store:
                 file.write(bytes(size))
 
     def drop_ballast(self) -> None:
-        """Give the room back that was kept for a full disk."""
+        """Release the reserved disk space."""
         with contextlib.suppress(OSError):
             (self.path / _BALLAST).unlink()
 
     def end(self) -> None:
-        """Take away what only a running sweep needs."""
+        """Remove what only a running sweep needs."""
         self.drop_ballast()
         shutil.rmtree(self.path / _SCENES, ignore_errors=True)
 
@@ -180,7 +182,7 @@ class Store:
         """Store a finished episode.
 
         Raises:
-            DiskFullError: there is no room.
+            DiskFullError: the disk is full.
             FileError: it cannot be written for another reason.
         """
         path = self._episode(key)
@@ -191,81 +193,85 @@ class Store:
         write_checked(path, part)
 
     def read(self, key: str) -> StoredEpisode | None:
-        """Return a finished episode; None when there is none, or its file is damaged."""
+        """Return a finished episode; None if it is missing or its file is damaged."""
         content = read_checked(self._episode(key))
         return None if content is None else StoredEpisode.from_bytes(content)
 
     def glance(self, key: str) -> dict[str, Any] | None:
-        """Return the row of a finished episode; None when there is none, or its file is damaged."""
+        """Return the row of a finished episode; None if it is missing, has no row, or its file is damaged."""
         content = read_checked(self._episode(key))
         return None if content is None else StoredEpisode.glance(content)[0]
 
     def finished(self) -> list[str]:
-        """Return the keys of the finished episodes that are there and whole."""
+        """Return the keys of the finished episodes whose files are intact."""
         return sorted(path.name for path in self._files() if read_checked(path) is not None)
 
     def changed_ns(self) -> Iterator[int]:
-        """Yield when each file of a finished episode was written, in nanoseconds of the file system's clock."""
+        """Yield the modification time of each episode's file, in nanoseconds."""
         return (path.stat().st_mtime_ns for path in self._files())
 
     def has(self, key: str) -> bool:
-        """Return whether a finished episode is there and whole."""
+        """Return whether the file of a finished episode exists and is intact."""
         return read_checked(self._episode(key)) is not None
 
     def is_done(self, key: str, retry_failed: bool = False) -> bool:
-        """Return whether an episode is not to be run (again): it is there and, with *retry_failed*, did not fail."""
+        """Return whether an episode need not be run: it is stored and, with *retry_failed*, did not fail."""
         if not retry_failed:
             return self.has(key)
         part = self.read(key)
         return part is not None and part.failed is None
 
     def checksum(self, key: str) -> str:
-        """Return what the file of a finished episode says of its content; "" where there is none."""
+        """Return the checksum written in the file of a finished episode; "" if there is none."""
         return written_checksum(self._episode(key))
 
     def _files(self) -> Iterator[Path]:
+        """Yield the files of the finished episodes."""
         return (path for path in (self.path / _EPISODES).glob("*/*") if not path.name.endswith(ASIDE))
 
     def _episode(self, key: str) -> Path:
+        """Return the file of an episode."""
         return self.path / _EPISODES / key[:2] / key
 
     # --- seed scenes -------------------------------------------------------------------------------------
 
     def write_scenes(self, batch: str, scenes: tuple[bytes, ...], wanted: int) -> None:
-        """Store the seed scenes of a batch of which so many were *wanted*; errors as in :meth:`write`."""
+        """Store the seed scenes of a batch, with the number *wanted*; errors as in :meth:`write`."""
         entries = {f"{k}": scene for k, scene in enumerate(scenes)} | {_WANTED: str(wanted).encode()}
-        self._remember(batch, entries)
+        self._cache_batch(batch, entries)
         write_checked(self.path / _SCENES / batch, pack(entries))
 
     def read_scenes(self, batch: str) -> tuple[bytes, ...] | None:
-        """Return the seed scenes of a batch; None when they are missing or damaged."""
+        """Return the seed scenes of a batch; None if they are missing or damaged."""
         entries = self._scenes(batch)
         return None if entries is None else tuple(scene for name, scene in entries.items() if name != _WANTED)
 
     def has_scenes(self, batch: str, wanted: int) -> bool:
-        """Return whether so many seed scenes of a batch are stored, or all that there were when as many were wanted."""
+        """Return whether *wanted* seed scenes of a batch are stored, or all there are if as many were wanted before."""
         entries = self._scenes(batch)
         if entries is None:
             return False
         return max(int(entries.get(_WANTED, b"0")), len(entries.keys() - {_WANTED})) >= wanted
 
     def _scenes(self, batch: str) -> Mapping[str, bytes] | None:
-        if batch not in self._recent:
+        """Return the entries of a batch's file, cached; None if it is missing or damaged."""
+        if batch not in self._batch_cache:
             content = read_checked(self.path / _SCENES / batch)
             if content is None:
                 return None
-            self._remember(batch, unpack(content))
-        self._recent.move_to_end(batch)
-        return self._recent[batch]
+            self._cache_batch(batch, unpack(content))
+        self._batch_cache.move_to_end(batch)
+        return self._batch_cache[batch]
 
-    def _remember(self, batch: str, entries: Mapping[str, bytes]) -> None:
-        self._recent[batch] = entries
-        while len(self._recent) > _KEPT_BATCHES:
-            self._recent.popitem(last=False)
+    def _cache_batch(self, batch: str, entries: Mapping[str, bytes]) -> None:
+        """Cache the entries of a batch; the batch used least recently is dropped."""
+        self._batch_cache[batch] = entries
+        while len(self._batch_cache) > _CACHED_BATCHES:
+            self._batch_cache.popitem(last=False)
 
 
 def must_equal(path: Path, begun: SweepSpec, asked: SweepSpec) -> None:
-    """Refuse to go on in *path* with another sweep than it was begun with.
+    """Check that the sweep in *path* is the requested one.
 
     Raises:
         ConfigError: the two differ.

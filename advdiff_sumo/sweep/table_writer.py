@@ -1,4 +1,4 @@
-"""Writes a table of many episodes: whole or not at all, with the same bytes for the same rows."""
+"""Write a table of many episodes: completely or not at all, with the same bytes for the same rows."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from advdiff_sumo.sweep.sweep_files import unwritable
 
 
 class TableWriter:
-    """One table that is being written, aside first.
+    """A table being written, into a temporary file first.
 
     Attributes:
-        path: its file.
-        schema: of its columns.
-        rows_together: they are written in groups of so many; 0: each table that is added is a group.
+        path: final file.
+        schema: schema of the table.
+        rows_together: least number of rows in a group; 0: each added table is a group.
     """
 
     def __init__(self, path: Path, schema: pa.Schema, rows_together: int) -> None:
         self.path, self.schema, self.rows_together = path, schema, rows_together
         self.aside = aside_of(self.path)
-        self._held: list[pa.Table] = []
+        self._pending: list[pa.Table] = []
         self._rows = 0
         self._writer: Any = None
 
@@ -37,19 +37,20 @@ class TableWriter:
         return self
 
     def add(self, table: pa.Table) -> None:
-        """Take rows; they are written in groups of a size that does not depend on when they came."""
-        self._held.append(table)
+        """Add rows; the size of the written groups depends on the rows only, not on time."""
+        self._pending.append(table)
         self._rows += table.num_rows
         if self._rows >= self.rows_together:
             self._flush()
 
     def _flush(self) -> None:
-        if self._held:
+        """Write the pending rows as one group."""
+        if self._pending:
             try:
-                self._writer.write_table(pa.concat_tables(self._held).combine_chunks())
+                self._writer.write_table(pa.concat_tables(self._pending).combine_chunks())
             except OSError as error:
                 raise unwritable(self.path, error) from None
-        self._held, self._rows = [], 0
+        self._pending, self._rows = [], 0
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
@@ -59,9 +60,9 @@ class TableWriter:
             if kind is None:
                 settle(self.aside, self.path)
                 return
-        except OSError as failed:
+        except OSError as os_error:
             if kind is None:
-                raise unwritable(self.path, failed) from None
+                raise unwritable(self.path, os_error) from None
         finally:
             with contextlib.suppress(OSError):
                 self.aside.unlink()

@@ -1,4 +1,4 @@
-"""What goes to a worker and what comes back; plain values that any process or machine can read."""
+"""Define tasks and outcomes: plain values that any process or machine can read."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from advdiff_sumo.sim.episode import Ended
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, ProcessPhase
 from advdiff_sumo.sim.run_episodes import RunOptions
 
-#: Wall-clock after which SUMO has surely stopped, or a planner that is being made; the start of SUMO with a large net,
-#: and the reading of large weights, are within it.
+#: A step of SUMO, or the making of a planner, that takes longer is taken to hang. The start of SUMO with a large net,
+#: and the reading of large weights, take less.
 STEP_TIMEOUT_S = 300.0
 
 
@@ -23,10 +23,10 @@ class Batch:
     """Seed scenes that are made together: those of one warm-up, or those of a driving log.
 
     Attributes:
-        key: of their content.
-        options: of a run that they belong to.
-        number: of the stretch of traffic; 0 for a log.
-        scenes: how many are wanted: of a warm-up those up to the last one that an episode starts in.
+        key: digest of all that they depend on.
+        options: options of a run that needs them.
+        number: number of the stretch of traffic; 0 for a log.
+        scenes: how many are wanted; of a warm-up, those up to the last one that is needed.
     """
 
     key: str
@@ -37,10 +37,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class SceneTask(Batch):
-    """Make the seed scenes of one batch.
+    """A task to make the seed scenes of one batch.
 
     Attributes:
-        net_digest: of the net, so that one that was changed meanwhile is noticed.
+        net_digest: digest of the net file, so that a later change is noticed.
     """
 
     net_digest: str
@@ -48,15 +48,15 @@ class SceneTask(Batch):
 
 @dataclass(frozen=True)
 class EpisodeTask:
-    """Run one episode.
+    """A task to run one episode.
 
     Attributes:
-        key: of the episode.
-        options: of the run that it belongs to.
-        number: of the episode in that run.
+        key: key of the episode.
+        options: options of its run.
+        number: number of the episode in that run.
         scene: its seed scene, see :mod:`advdiff_sumo.sim.scene_file`.
-        net_digest: as above.
-        ended: how it ended its worker before: what had happened until then is made again and recorded.
+        net_digest: digest of the net file.
+        ended: how an earlier attempt ended its worker; the episode is then driven and recorded up to there.
     """
 
     key: str
@@ -69,11 +69,11 @@ class EpisodeTask:
 
 @dataclass(frozen=True)
 class CallTask:
-    """Call a function that may do to its process whatever it likes.
+    """A task to call a function that may do anything to its process.
 
     Attributes:
-        key: of the task.
-        call: the function, with its arguments; both must be found by name in another process.
+        key: key of the task.
+        call: the function with its arguments; another process must be able to import both.
     """
 
     key: str
@@ -85,13 +85,13 @@ Task: TypeAlias = SceneTask | EpisodeTask | CallTask
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a task came to nothing, or an episode could not be finished.
+    """Why a task failed, or an episode could not be finished.
 
     Attributes:
         kind: one word, see ``docs/sweeps.md``.
         message: one sentence.
-        log_tail: the last lines that the worker said, or where the planner raised.
-        attempts: how often it was tried.
+        log_tail: last lines of the worker's output, or the planner's traceback.
+        attempts: number of attempts.
     """
 
     kind: str
@@ -101,21 +101,21 @@ class Failed:
 
     @property
     def is_unusable(self) -> bool:
-        """Whether the input cannot be used, so that nothing began."""
+        """Whether the input is unusable, so that nothing was started."""
         return self.kind in {"no_scene", "input_error"}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a task: its product or a failure.
+    """Outcome of a task: its product or a failure.
 
     Attributes:
-        key: of the task.
-        product: scenes, or the one file of a finished episode.
-        failed: set when there is no product.
-        wall_s: how long it took.
-        steps: SUMO steps that an episode came to, where it failed without a product.
-        said: what a planner or policy printed.
+        key: key of the task.
+        product: seed scenes, or the one file of a finished episode.
+        failed: the failure; None if there is a product.
+        wall_s: wall-clock time.
+        steps: SUMO steps that a failed episode reached.
+        said: output of planner or policy.
     """
 
     key: str
@@ -126,22 +126,22 @@ class Outcome:
     said: str = ""
 
     def tried(self, attempts: int) -> Outcome:
-        """Return the same with the number of attempts noted in its failure."""
+        """Return the outcome with the number of attempts in its failure."""
         return self if self.failed is None else replace(self, failed=replace(self.failed, attempts=attempts))
 
 
 @dataclass(frozen=True)
 class WorkerLimits:
-    """What a worker may take.
+    """Limits of a worker.
 
     Attributes:
-        timeout_s: wall-clock of one task; may be infinite.
-        memory_mb: private memory of a worker; 0 for no limit.
-        tasks: a worker is replaced after so many.
-        recycle_share: and before its next task once it holds this share of ``memory_mb``.
-        logs: folder for what workers say, a file a task.
-        plan_timeout_s: wall-clock of one plan of the target or the background; may be infinite.
-        log_level: least level of our own messages that a worker says, as in :mod:`logging`.
+        timeout_s: wall-clock limit of one task; may be infinite.
+        memory_mb: limit of a worker's private memory; 0 for none.
+        tasks: number of tasks after which a worker is replaced.
+        recycle_share: a worker that holds this share of ``memory_mb`` is replaced before its next task.
+        logs: folder for the workers' output, one file a task.
+        plan_timeout_s: wall-clock limit of one plan of target or background; may be infinite.
+        log_level: lowest level of this package's log messages in workers, as in :mod:`logging`.
     """
 
     timeout_s: float
@@ -153,16 +153,16 @@ class WorkerLimits:
     log_level: int = logging.WARNING
 
     def longest_s(self, phase: ProcessPhase) -> float:
-        """Return how long an episode may be in *phase* at a time: a plan, a step of SUMO, the making of a planner."""
+        """Return the time limit of one stay in *phase*: a plan, a step of SUMO, or making a planner."""
         if phase is ProcessPhase.OTHER:
             return math.inf
-        plans = phase in (ProcessPhase.TARGET, ProcessPhase.BACKGROUND)
-        return self.plan_timeout_s if plans else max(self.plan_timeout_s, STEP_TIMEOUT_S)
+        is_planning = phase in (ProcessPhase.TARGET, ProcessPhase.BACKGROUND)
+        return self.plan_timeout_s if is_planning else max(self.plan_timeout_s, STEP_TIMEOUT_S)
 
     def log_of(self, key: str) -> Path:
-        """Return the file that the worker of task *key* writes to."""
+        """Return the file for the output of the worker of task *key*."""
         return self.logs / f"{key}.log"
 
     def heartbeat_of(self, key: str) -> Path:
-        """Return the file in which the worker of task *key* notes where it stands."""
+        """Return the file in which the worker of task *key* writes its progress."""
         return self.logs / f"{key}.heartbeat"

@@ -1,4 +1,4 @@
-"""How long a sweep will take, measured on some of its own episodes."""
+"""Estimate how long a sweep takes, by running some of its episodes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask
 
-_PROBES = 6
+_PROBES = 6  # episodes that are run, at most
 
 
 @dataclass(frozen=True)
 class TimeEstimate:
-    """Time on one worker.
+    """Durations on one worker.
 
     Attributes:
-        scene_s: for the seed scenes of one batch.
-        episode_s: for one episode, the mean over the probes.
-        batches: how many batches are needed.
-        episodes: how many episodes.
+        scene_s: mean time for the seed scenes of one batch.
+        episode_s: mean time of one episode.
+        batches: number of batches needed.
+        episodes: number of episodes.
     """
 
     scene_s: float
@@ -31,17 +31,17 @@ class TimeEstimate:
     episodes: int
 
     def total_s(self, workers: int) -> float:
-        """Return the wall-clock with so many workers that have a core each."""
+        """Return the wall-clock time with so many *workers*, each on a core of its own."""
         return (self.scene_s * self.batches + self.episode_s * self.episodes) / workers
 
 
 def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> TimeEstimate | None:
-    """Run one batch of seed scenes and an episode of up to six kinds; None when there is nothing to do.
+    """Run up to six episodes of different kinds, with their seed scenes; None if there are no *jobs*.
 
     Args:
         plan: the sweep.
-        jobs: what is to be done.
-        executor: of one worker; already started.
+        jobs: the episodes to estimate.
+        executor: executor with one worker, already started.
 
     Raises:
         ConfigError: a seed scene cannot be made.
@@ -71,13 +71,14 @@ def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> TimeEs
 
 
 def _kind(plan: SweepPlan, job: Job) -> str:
+    """Return a text that is equal for episodes of the same net, target and background."""
     options = plan.options(job)
     names = (options.net, options.target, options.background)
     return canonical([*names, options.target_options, options.background_options])
 
 
 def _spread(jobs: list[Job]) -> list[Job]:
-    """Return up to six of *jobs*, evenly over all."""
+    """Return up to six of *jobs*, evenly spaced."""
     jobs.sort(key=lambda job: job.index)
     step = max(1.0, len(jobs) / _PROBES)
     return [jobs[int(k * step)] for k in range(min(_PROBES, len(jobs)))]

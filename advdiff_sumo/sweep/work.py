@@ -1,4 +1,4 @@
-"""What a worker does: one task after the other, with its nets, planners and policies kept loaded."""
+"""Perform tasks in a worker, which keeps nets, planners and policies loaded between tasks."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ WORKER_COLUMNS: Mapping[str, Column] = {
     "rss_mb": Column("float64", "MB", "memory that the worker held after the episode", False),
     "peak_mb": Column("float64", "MB", "the most that it ever held", False),
 }
-#: Kind of failure that ends the sweep: there is no room for SUMO's own files.
+#: Kind of failure that ends the sweep: no disk space for SUMO's own files.
 NO_ROOM = "no_room"
-_MADE = KeptPlans()
-_AT_HAND = {"sumo", "replay"}
+_KEPT_PLANS = KeptPlans()
+_WITHOUT_PLANNING = {"sumo", "replay"}  # policies whose plans cost nothing
 
 
 def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = None) -> Outcome:
-    """Do *task*; whatever goes wrong short of the process's death comes back as a failure.
+    """Perform *task*; every fault that leaves the process alive is returned as a failure.
 
     Args:
-        task: seed scenes or an episode.
-        heartbeat: told where an episode stands.
-        run: that an episode is of; None: it is made of the task's options.
+        task: the task.
+        heartbeat: receives the progress of an episode.
+        run: run of the episode; None: it is prepared from the task's options.
     """
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     heartbeat = heartbeat or Heartbeat()
     try:
         product = _product(task, heartbeat, run)
@@ -68,19 +68,20 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     except OSError as error:
         kind = NO_ROOM if error.errno == errno.ENOSPC else "error"
         failed = Failed(kind, f"{type(error).__name__}: {error}", traceback.format_exc())
-    except BaseException as error:  # any fault of a plug-in is a record, never the end
+    except BaseException as error:  # any fault of a plug-in is recorded and ends nothing
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
             raise
-        what = "the worker ran out of memory" if (full := lacks_memory(error)) else type(error).__name__
+        problem = "the worker ran out of memory" if (full := lacks_memory(error)) else type(error).__name__
         failed = Failed(
-            "out_of_memory" if full else "error", f"{what}{message_of(error)}", traceback.format_exc()
+            "out_of_memory" if full else "error", f"{problem}{message_of(error)}", traceback.format_exc()
         )
     else:
-        return Outcome(task.key, product, None, time.perf_counter() - begun)
-    return Outcome(task.key, (), failed, time.perf_counter() - begun, heartbeat.steps)
+        return Outcome(task.key, product, None, time.perf_counter() - start_s)
+    return Outcome(task.key, (), failed, time.perf_counter() - start_s, heartbeat.steps)
 
 
 def _product(task: Task, heartbeat: Heartbeat, run: Run | None) -> tuple[bytes, ...]:
+    """Return the product of *task*: seed scenes, an episode, or what the function returned."""
     if isinstance(task, SceneTask):
         return _scenes(task)
     if isinstance(task, EpisodeTask):
@@ -89,59 +90,61 @@ def _product(task: Task, heartbeat: Heartbeat, run: Run | None) -> tuple[bytes, 
 
 
 def run_of(options: RunOptions, net_digest: str, heartbeat: Heartbeat | None = None) -> Run:
-    """Return the run of *options*; its net, target and policy are those that this process has loaded already.
+    """Return the run of *options*; net, target and policy come from this process's caches if possible.
 
     Args:
-        options: of the run.
-        net_digest: of its net.
+        options: options of the run.
+        net_digest: digest of its net.
         heartbeat: told while target and policy are made.
     """
     heartbeat = heartbeat or Heartbeat()
     road = _road(options.net, net_digest)
     names = options.target, options.background
     with heartbeat.during(ProcessPhase.MAKING_TARGET):
-        target = _target(names[0], _Plain(options, options.target_options))
+        target = _target(names[0], _CacheKey(options, options.target_options))
     with heartbeat.during(ProcessPhase.MAKING_BACKGROUND):
-        policy = _policy(names[1], _Plain(options, options.background_options))
+        policy = _policy(names[1], _CacheKey(options, options.background_options))
     return Run(options, road, target, policy, names)
 
 
 def _plain_run(options: RunOptions, net_digest: str) -> Run:
-    """Return the run of *options* with SUMO's drivers, for what needs neither target nor policy."""
+    """Return the run of *options* with SUMO's drivers, for tasks that need neither target nor policy."""
     plain = options.model_copy(update={"target": "IDM", "target_options": {}})
-    road, policy = _road(options.net, net_digest), _policy("sumo", _Plain(plain, {}))
+    road, policy = _road(options.net, net_digest), _policy("sumo", _CacheKey(plain, {}))
     return Run(plain, road, target_of(plain), policy, ("IDM", "sumo"))
 
 
 def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> StoredEpisode:
-    """Return what is kept of an episode of *run*."""
+    """Return the stored form of an episode of *run*."""
     metrics = summarise(record, run.road)
     row = episode_row(record, run.road, metrics)
     tables = episode_tables(record, row, collision_rows(record, run.road, metrics), timing)
-    episodes = _beside(tables["episodes"], [situation(record, row, run.road)], SITUATION_COLUMNS)
+    episodes = _with_columns(tables["episodes"], [situation(record, row, run.road)], SITUATION_COLUMNS)
     failure = record.failure
     failed = None if failure is None else Failed(failure.kind, failure.message, failure.trace)
-    timed = _beside(
+    timing_table = _with_columns(
         tables["timing"], [{"worker": os.getpid(), "rss_mb": rss_mb(), "peak_mb": peak_mb()}], WORKER_COLUMNS
     )
-    return StoredEpisode({**tables, "episodes": episodes, "timing": timed}, failed)
+    return StoredEpisode({**tables, "episodes": episodes, "timing": timing_table}, failed)
 
 
-def _beside(table: pa.Table, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
-    """Return *table* with *columns* of *rows* added."""
-    more = table_of(rows, columns)
-    for name in more.column_names:
-        table = table.append_column(more.schema.field(name), more[name])
+def _with_columns(table: pa.Table, rows: list[dict[str, Any]], columns: Mapping[str, Column]) -> pa.Table:
+    """Return *table* with *columns*, whose values are in *rows*."""
+    added = table_of(rows, columns)
+    for name in added.column_names:
+        table = table.append_column(added.schema.field(name), added[name])
     return table
 
 
 def _scenes(task: SceneTask) -> tuple[bytes, ...]:
+    """Return the seed scenes of a batch as bytes."""
     run = _plain_run(task.options, task.net_digest)
     return tuple(scene_to_bytes(scene) for scene in run.scene_batch(task.number, task.scenes))
 
 
 def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
-    unstarted = task.ended is not None and task.ended.steps < 0  # of which nothing is driven again
+    """Return the stored form of one episode as bytes."""
+    unstarted = task.ended is not None and task.ended.steps < 0  # nothing of it is driven again
     if run is None and unstarted:
         run = _plain_run(task.options, task.net_digest)
     run = run or run_of(task.options, task.net_digest, heartbeat)
@@ -152,38 +155,40 @@ def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
 
 
 def _memo_of(task: EpisodeTask) -> PlanMemo | None:
-    """Return the plans that this process has made; None where somebody else's code may keep something between calls.
+    """Return the store for plans of policies that this process has already computed.
 
-    None, too, where plans are no work.
+    None if a user's code, which may keep state between calls, takes part, or if plans cost nothing.
     """
-    name, own = task.options.background, task.options.background_options
-    surrogate = str(own.get("surrogate", "lane_graph"))
-    ours = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
-    if not ours or POLICIES.canonical(name) not in set(POLICIES.builtins) - _AT_HAND:
+    name, options = task.options.background, task.options.background_options
+    surrogate = str(options.get("surrogate", "lane_graph"))
+    is_builtin = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
+    if not is_builtin or POLICIES.canonical(name) not in set(POLICIES.builtins) - _WITHOUT_PLANNING:
         return None
-    return PlanMemo((task.net_digest, name, repr(sorted(own.items())), _states_of(own)), _MADE)
+    key = (task.net_digest, name, repr(sorted(options.items())), _states_of(options))
+    return PlanMemo(key, _KEPT_PLANS)
 
 
 def _kind(error: AdvdiffError) -> str:
+    """Return the kind of failure for *error*."""
     if isinstance(error, EpisodeFailure):
         return error.kind
     return "no_scene" if isinstance(error, SceneError) else "input_error"
 
 
-def _states_of(own: Mapping[str, Any]) -> tuple[tuple[int, int], ...]:
-    """Return what changes when a file that the options *own* name is written anew."""
-    return tuple(map(file_state, files_of(own)))
+def _states_of(options: Mapping[str, Any]) -> tuple[tuple[int, int], ...]:
+    """Return values that change when a file named in *options* is rewritten."""
+    return tuple(map(file_state, files_of(options)))
 
 
-class _Plain:
-    """Options as an argument of a cache: equal when the target's or policy's own, their files and the steps are."""
+class _CacheKey:
+    """Hashable options for caches: equal if the driver's own options, their files and the time steps are."""
 
     def __init__(self, options: RunOptions, own: dict[str, Any]) -> None:
         self.options, self.own = options, own
         self._text = repr((sorted(own.items()), _states_of(own), options.sim))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Plain) and self._text == other._text
+        return isinstance(other, _CacheKey) and self._text == other._text
 
     def __hash__(self) -> int:
         return hash(self._text)
@@ -191,6 +196,7 @@ class _Plain:
 
 @lru_cache(maxsize=4)
 def _road(net: str, digest: str) -> RoadMap:
+    """Return the map of *net*, whose files must have *digest*."""
     files = net_files(net)
     if file_digest(*files) != digest:
         raise NetError(
@@ -200,31 +206,32 @@ def _road(net: str, digest: str) -> RoadMap:
 
 
 @lru_cache(maxsize=8)
-def _target(name: str, plain: _Plain) -> Target:
-    return target_of(plain.options.model_copy(update={"target": name, "target_options": plain.own}))
+def _target(name: str, key: _CacheKey) -> Target:
+    return target_of(key.options.model_copy(update={"target": name, "target_options": key.own}))
 
 
 @lru_cache(maxsize=8)
-def _policy(name: str, plain: _Plain) -> TrafficPolicy:
-    return policy_of(plain.options.model_copy(update={"background": name, "background_options": plain.own}))
+def _policy(name: str, key: _CacheKey) -> TrafficPolicy:
+    return policy_of(key.options.model_copy(update={"background": name, "background_options": key.own}))
 
 
 def rss_mb() -> float:
-    """Return the memory that this process holds; 0 where the system does not tell."""
+    """Return the memory that this process holds; 0 if the system does not report it."""
     return _status_mb("VmRSS:")
 
 
 def peak_mb() -> float:
-    """Return the most memory that this process ever held; 0 where the system does not tell."""
+    """Return the largest memory that this process has held; 0 if the system does not report it."""
     return _status_mb("VmHWM:")
 
 
 def data_bytes() -> int:
-    """Return the private memory that this process may write to; 0 where the system does not tell."""
+    """Return the private writable memory of this process; 0 if the system does not report it."""
     return int(_status_mb("VmData:") * (1 << 20))
 
 
 def _status_mb(name: str) -> float:
+    """Return field *name* of ``/proc/self/status``."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""A task in a process that may die: with a time limit, a memory limit, and a log that outlives the process."""
+"""Run a task in a process that may die: with a time limit, a memory limit, and a log that survives the process."""
 
 from __future__ import annotations
 
@@ -27,24 +27,23 @@ from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, ProcessPhas
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
 
-#: Exit code of a worker that makes room for a fresh one.
+#: Exit code of a worker that ends to be replaced by a new one.
 RECYCLED = 75
-_FROM_OUTSIDE = {-9, -15, UNSEEN}  # SIGKILL, as of the system where memory runs out, and SIGTERM
-_TIMED_OUT, _CRASHED, _MODULES = (
-    re.compile(r"^Timeout \(\d+:\d\d:\d\d", re.MULTILINE),
-    "Fatal Python error",
-    "Extension modules:",
-)  # faulthandler's words
+_FROM_OUTSIDE = {-9, -15, UNSEEN}  # SIGKILL, such as by the system without free memory, and SIGTERM
+# texts of faulthandler:
+_TIMED_OUT = re.compile(r"^Timeout \(\d+:\d\d:\d\d", re.MULTILINE)
+_CRASHED, _MODULES = "Fatal Python error", "Extension modules:"
 _MAKING = (ProcessPhase.MAKING_TARGET, ProcessPhase.MAKING_BACKGROUND)
-_READ_BYTES, _TAIL, _BEFORE = 1 << 16, 4000, 1000
+_READ_BYTES = 1 << 16  # of the end of a log
+_TAIL, _BEFORE_STACK = 4000, 1000  # characters kept: in all, and before a stack
 _MB = 1 << 20
-_TASKS = count()  # of this process
+_TASKS = count()  # tasks of this process
 
 
 def prepare_worker(limits: WorkerLimits) -> None:
-    """Set a new worker up: Ctrl-C is the parent's business, memory is bounded, no parent means no worker.
+    """Set up a new worker: it ignores Ctrl-C, has bounded memory, and ends with its parent.
 
-    Its temporary files, and those of the programs that it starts, lie where the parent removes them if it is killed.
+    Its temporary files, and those of programs that it starts, are in a folder that the parent removes.
     """
     ignore_interrupts()
     bound_memory(limits.memory_mb)
@@ -56,33 +55,32 @@ def prepare_worker(limits: WorkerLimits) -> None:
 
 
 def bound_memory(memory_mb: int) -> None:
-    """Let this process have no more than *memory_mb* of private memory in addition; 0 leaves it alone.
+    """Limit the further private memory of this process to *memory_mb*; 0 for no limit.
 
-    The bound is on what can be written to: address space that libraries merely reserve does not count. A bound
-    that is there already stays.
+    Only writable memory counts, not address space that libraries merely reserve. An existing limit stays.
     """
     if memory_mb and sys.platform != "win32":
         import resource
 
         if resource.getrlimit(resource.RLIMIT_DATA)[0] == resource.RLIM_INFINITY:
-            most = memory_mb * _MB + data_bytes()
-            resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+            limit_bytes = memory_mb * _MB + data_bytes()
+            resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, limit_bytes))
 
 
 def run_sandboxed(task: Task, limits: WorkerLimits) -> Outcome:
-    """Do *task* within *limits*; the process ends itself when the time is over."""
-    used = next(_TASKS) > 0
-    if used and limits.memory_mb and rss_mb() > limits.recycle_share * limits.memory_mb:
+    """Perform *task* within *limits*; the process ends itself at the time limit."""
+    is_used = next(_TASKS) > 0
+    if is_used and limits.memory_mb and rss_mb() > limits.recycle_share * limits.memory_mb:
         os._exit(RECYCLED)
     one_thread_for_good()
     pa.set_cpu_count(1)
-    heartbeat = limits.heartbeat_of(task.key)
-    with _watched(limits.log_of(task.key), limits.timeout_s) as tail:
-        outcome = replace(perform(task, Heartbeat(heartbeat)), said=tail())
+    heartbeat_file = limits.heartbeat_of(task.key)
+    with _watched(limits.log_of(task.key), limits.timeout_s) as output:
+        outcome = replace(perform(task, Heartbeat(heartbeat_file)), said=output())
         if outcome.failed is not None and not outcome.failed.log_tail:
             outcome = replace(outcome, failed=replace(outcome.failed, log_tail=outcome.said))
     with contextlib.suppress(OSError):
-        heartbeat.unlink()
+        heartbeat_file.unlink()
     return outcome
 
 
@@ -90,11 +88,11 @@ def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, over
     """Return the outcome of a task whose worker died.
 
     Args:
-        task: that it had.
-        limits: that it kept or did not keep.
-        exit_code: of its process, negative for a signal; None where it is not known.
-        how: the same as the end of a sentence; "" where it was ended at its time limit.
-        overdue: it was ended because a plan, a step of SUMO or the making of a planner took too long.
+        task: the task.
+        limits: limits of the worker.
+        exit_code: exit code of the process, negative for a signal; None if unknown.
+        how: how it ended, as the end of a sentence; "" if it was ended at its time limit.
+        overdue: whether it was ended because a plan, a step of SUMO or making a planner took too long.
     """
     log, heartbeat = limits.log_of(task.key), limits.heartbeat_of(task.key)
     tail, beat = tail_of(log), Heartbeat.read(heartbeat)
@@ -120,33 +118,36 @@ def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, over
 
 
 def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
-    """Return the failure of an episode in which the simulator or somebody's code ended the process."""
-    when = _when(task, beat)
+    """Return the failure of an episode in which the simulator or a user's code ended the process."""
+    when = _when_text(task, beat)
     if beat.phase is ProcessPhase.SIMULATOR:
         return Failed("simulator_crashed", f"SUMO crashed {when}: the worker {how}", tail)
-    who = _who(task, beat.phase)
+    driver = _driver_name(task, beat.phase)
     return Failed(
-        "planner_crashed", f"{who} ended its process {when}{crashed_at(tail)}: the worker {how}", tail
+        "planner_crashed", f"{driver} ended its process {when}{crashed_at(tail)}: the worker {how}", tail
     )
 
 
 def _overdue(task: EpisodeTask, limits: WorkerLimits, beat: Beat, tail: str) -> Failed:
-    when = _when(task, beat)
+    """Return the failure of an episode that was stuck in one plan, one step of SUMO, or making a planner."""
+    when = _when_text(task, beat)
     if beat.phase is ProcessPhase.SIMULATOR:
         return Failed("timeout", f"SUMO made no step in {limits.longest_s(beat.phase):g} s {when}", tail)
-    who, within = _who(task, beat.phase), f"in {limits.longest_s(beat.phase):g} s"
-    late = f"was not made {within}" if beat.phase in _MAKING else f"made no plan {within} {when}"
-    problem = f"{who} {late}{crashed_at(tail)}"
+    driver, within = _driver_name(task, beat.phase), f"in {limits.longest_s(beat.phase):g} s"
+    delay = f"was not made {within}" if beat.phase in _MAKING else f"made no plan {within} {when}"
+    problem = f"{driver} {delay}{crashed_at(tail)}"
     return Failed("planner_timeout", problem, tail)
 
 
-def _who(task: EpisodeTask, phase: ProcessPhase) -> str:
+def _driver_name(task: EpisodeTask, phase: ProcessPhase) -> str:
+    """Return the name of target or background, whichever is active in *phase*."""
     options = task.options
     of_target = phase in (ProcessPhase.TARGET, ProcessPhase.MAKING_TARGET)
     return f"target '{options.target}'" if of_target else f"background '{options.background}'"
 
 
-def _when(task: EpisodeTask, beat: Beat) -> str:
+def _when_text(task: EpisodeTask, beat: Beat) -> str:
+    """Return when in the episode *beat* was, as the end of a sentence."""
     if beat.phase in _MAKING:
         return "while it was made"
     if beat.steps < 0:
@@ -155,28 +156,29 @@ def _when(task: EpisodeTask, beat: Beat) -> str:
 
 
 def timed_out(limits: WorkerLimits, tail: str = "") -> Failed:
-    """Return the failure of a task that took too long."""
+    """Return the failure of a task that exceeded its time limit."""
     return Failed("timeout", f"not finished after {limits.timeout_s:g} s", tail)
 
 
 def tail_of(log: Path) -> str:
-    """Return the end of *log*; "" where there is none, as for a worker on another machine.
+    """Return the end of *log*; "" if it is missing, as for a worker on another machine.
 
-    Where Python told of its stack, that is what is kept, with the lines before it: the innermost call comes first.
+    If the log holds a stack of Python's, that is returned with the lines before it; its innermost call is first.
     """
     try:
         text = log.read_bytes()[-_READ_BYTES:].decode(errors="replace")
     except OSError:
         return ""
     text = "\n".join(line for line in text.splitlines() if not line.startswith(_MODULES))
-    stack = max([text.rfind(_CRASHED), *(stuck.start() for stuck in _TIMED_OUT.finditer(text))])
+    stack = max([text.rfind(_CRASHED), *(match.start() for match in _TIMED_OUT.finditer(text))])
     if stack >= 0:
-        return text[max(0, stack - _BEFORE) : stack + _TAIL].strip()
-    tail, whole = text[-_TAIL:].strip(), text.strip()
-    return tail if tail == whole else f"… (of what was printed the last {_TAIL} characters)\n{tail}"
+        return text[max(0, stack - _BEFORE_STACK) : stack + _TAIL].strip()
+    tail, full = text[-_TAIL:].strip(), text.strip()
+    return tail if tail == full else f"… (of what was printed the last {_TAIL} characters)\n{tail}"
 
 
 def _follow_parent() -> None:
+    """End this process when its parent ends."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -185,7 +187,7 @@ def _follow_parent() -> None:
 
 @contextlib.contextmanager
 def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
-    """Send what this process says into *log*; when the time is over say where it is stuck, and end it."""
+    """Redirect the output of this process to *log*; at the time limit write the stack there and end the process."""
     with log.open("wb") as file:
         saved = os.dup(1), os.dup(2)
         _flushed()
@@ -199,15 +201,15 @@ def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
             _flushed()
-            for number, kept in zip((1, 2), saved, strict=True):
-                os.dup2(kept, number)
-                os.close(kept)
+            for descriptor, original in zip((1, 2), saved, strict=True):
+                os.dup2(original, descriptor)
+                os.close(original)
     with contextlib.suppress(OSError):
         log.unlink()
 
 
 def end_after(timeout_s: float, file: IO[bytes] | None = None) -> None:
-    """Let this process say where it is stuck, into *file* or on standard error, and end in so many s; inf: never."""
+    """After *timeout_s* (inf: never) write this process's stack to *file*, or standard error, and end it."""
     if math.isfinite(timeout_s):
         faulthandler.dump_traceback_later(
             min(timeout_s, threading.TIMEOUT_MAX), exit=True, file=sys.stderr if file is None else file
@@ -215,6 +217,7 @@ def end_after(timeout_s: float, file: IO[bytes] | None = None) -> None:
 
 
 def _flushed() -> str:
+    """Flush standard output and error; return ""."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     return ""

@@ -81,14 +81,14 @@ class SpeedFactor(NamedTuple):
     high: float = 2.0
 
     @classmethod
-    def read(cls, given: float | str) -> SpeedFactor:
+    def read(cls, value: float | str) -> SpeedFactor:
         """Parse a number, "norm(mean,deviation)" or "normc(mean,deviation,low,high)".
 
         Raises:
             ValueError: the format is none of these, or the numbers make no sense.
         """
-        match = _DISTRIBUTION.fullmatch(str(given).replace(" ", ""))
-        name, texts = (match[1], match[2].split(",")) if match else ("", [str(given)])
+        match = _DISTRIBUTION.fullmatch(str(value).replace(" ", ""))
+        name, texts = (match[1], match[2].split(",")) if match else ("", [str(value)])
         if len(texts) != {"": 1, "norm": 2, "normc": 4}[name]:
             raise ValueError("expected a number, norm(mean,deviation) or normc(mean,deviation,low,high)")
         try:
@@ -162,6 +162,7 @@ class SumoDriverOptions(Options):
 
 
 def _check_deviation(value: float | str) -> None:
+    """Raise ValueError if *value* is no number of at least 0."""
     try:
         is_valid = 0.0 <= float(value) < math.inf
     except ValueError:
@@ -171,6 +172,7 @@ def _check_deviation(value: float | str) -> None:
 
 
 def _suggest(key: str) -> str:
+    """Return a hint for the unknown attribute *key*."""
     if key in SumoDriverOptions.model_fields:
         return f"'{key}' is an option of its own, set it beside 'params'"
     hint = did_you_mean(key, PARAMS)

@@ -40,11 +40,11 @@ def consolidate(store: Store, plan: SweepPlan) -> int:
     with contextlib.ExitStack() as stack:
         writers = {name: stack.enter_context(_writer(folder, name)) for name in SWEEP_TABLES}
         for job in plan.jobs:
-            part = store.read(job.key)
-            if part is None:
+            stored = store.read(job.key)
+            if stored is None:
                 missing += 1
                 continue
-            for name, table in _rows(part, job, plan, folder).items():
+            for name, table in _rows(stored, job, plan, folder).items():
                 writers[name].add(table)
     seal = {
         "episodes": len(plan.jobs),
@@ -99,22 +99,23 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _rows(part: StoredEpisode, job: Job, plan: SweepPlan, folder: Path) -> dict[str, pa.Table]:
+def _rows(stored: StoredEpisode, job: Job, plan: SweepPlan, folder: Path) -> dict[str, pa.Table]:
     """Return the rows of one episode for each table of the sweep."""
     job_values = job_row(job, plan.options(job))
     tables: dict[str, pa.Table] = {}
-    for name, table in part.tables.items():
+    for name, table in stored.tables.items():
         columns = table.drop_columns(["episode"])
         leading = job_values if name == "episodes" else {"episode": job.index}
         tables[name] = _with_leading(columns, leading, SWEEP_TABLES[name])
-    if part.failed is not None:
+    if stored.failed is not None:
         command = f"advdiff-sumo replay {job.key} --sweep {shlex.quote(str(folder))}"
-        row = {**job_values, **vars(part.failed), "command": command}
+        row = {**job_values, **vars(stored.failed), "command": command}
         tables["failures"] = table_of([row], FAILURE_COLUMNS)
     return tables
 
 
 def _writer(folder: Path, name: str) -> TableWriter:
+    """Return a writer for table *name*."""
     return TableWriter(folder / f"{name}.parquet", schema_of(SWEEP_TABLES[name]), _ROWS_A_GROUP)
 
 

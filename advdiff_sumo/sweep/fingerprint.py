@@ -88,11 +88,11 @@ def cell_digest(options: RunOptions, source: str) -> str:
     """
     dumped = options.model_dump(mode="json")
     names = ("target", "target_options", "background", "background_options", "sim", "horizon_s", "seed")
-    parts = {"source": source, **{name: dumped[name] for name in names}}
+    content = {"source": source, **{name: dumped[name] for name in names}}
     files = [
         _cached((p,)) for own in (options.target_options, options.background_options) for p in files_of(own)
     ]
-    return digest({**parts, "files": files} if files else parts)
+    return digest({**content, "files": files} if files else content)
 
 
 def files_of(options: Mapping[str, Any]) -> tuple[Path, ...]:

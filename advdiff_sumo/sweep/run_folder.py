@@ -125,9 +125,9 @@ class RunFolder:
         store = self.store
         return [int(key) for key in store.finished() if not retry_failed or store.is_done(key, retry_failed)]
 
-    def add(self, number: int, part: StoredEpisode) -> None:
+    def add(self, number: int, episode: StoredEpisode) -> None:
         """Store one finished episode; it counts only when its file is complete."""
-        self.store.write(run_key(number), part.to_bytes())
+        self.store.write(run_key(number), episode.to_bytes())
 
     def part(self, number: int) -> StoredEpisode | None:
         """Return the stored form of an episode, of an unfinished or finished run; None if there is none."""
@@ -140,8 +140,8 @@ class RunFolder:
         """Return the stored forms of all episodes by number, of an unfinished or finished run."""
         if not (numbers := self.done()):
             return self._from_tables(self._in_tables())
-        parts = {number: self.store.read(run_key(number)) for number in numbers}
-        return {number: part for number, part in parts.items() if part is not None}
+        stored = {number: self.store.read(run_key(number)) for number in numbers}
+        return {number: episode for number, episode in stored.items() if episode is not None}
 
     def catch_up(self) -> None:
         """Write the tables of an unfinished run if episodes have been stored since they were written.
@@ -168,16 +168,16 @@ class RunFolder:
         with contextlib.ExitStack() as stack:
             writers = {name: stack.enter_context(self._writer(name)) for name in TABLES}
             for number in self.done():
-                part = self.store.read(run_key(number))
-                if part is None and not finished:
+                episode = self.store.read(run_key(number))
+                if episode is None and not finished:
                     raise FileError(self.path, "has changed while it was read", "ask once more")
-                if part is None:
+                if episode is None:
                     continue
-                rows += bool(part.tables)
-                for name, table in part.tables.items():
+                rows += bool(episode.tables)
+                for name, table in episode.tables.items():
                     writers[name].add(table.select([*TABLES[name]]))
-                if part.failed is not None:
-                    failures.append(self.failure_row(number, part.failed))
+                if episode.failed is not None:
+                    failures.append(self.failure_row(number, episode.failed))
         self._write_failures(failures)
         if finished:
             shutil.rmtree(self.path / RUN_PARTS)
@@ -188,6 +188,7 @@ class RunFolder:
         return self._tables.rows("failures").to_pylist() if (self.path / FAILURES).exists() else []
 
     def _writer(self, name: str) -> TableWriter:
+        """Return a writer for table *name*."""
         return TableWriter(self.path / f"{name}.parquet", schema_of(TABLES[name]), rows_together=0)
 
     def failure_row(self, number: int, failed: Failed) -> dict[str, Any]:
@@ -211,8 +212,8 @@ class RunFolder:
         if not all((self.path / f"{table}.parquet").exists() for table in TABLES.keys() - LATER_TABLES):
             return []
         numbers = self._tables.rows("episodes", ["episode"])["episode"]
-        known = {number for number in numbers.to_pylist() if number is not None}
-        return sorted(known | {int(row["episode"]) for row in self.failures()})
+        with_row = {number for number in numbers.to_pylist() if number is not None}
+        return sorted(with_row | {int(row["episode"]) for row in self.failures()})
 
     def _only_in_tables(self) -> dict[int, StoredEpisode]:
         """Return the episodes of a finished run that are in its tables only."""
@@ -225,8 +226,8 @@ class RunFolder:
         aside = RunFolder(self.path / f"{RUN_PARTS}{ASIDE}")
         shutil.rmtree(aside.path, ignore_errors=True)
         aside.store.prepare(0)
-        for number, part in finished.items():
-            aside.add(number, part)
+        for number, episode in finished.items():
+            aside.add(number, episode)
         (aside.path / RUN_PARTS).replace(self.path / RUN_PARTS)
         shutil.rmtree(aside.path)
 

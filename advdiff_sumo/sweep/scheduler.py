@@ -93,6 +93,7 @@ class Scheduler:
         return bool(self._running)
 
     def _submit(self, task: Task) -> None:
+        """Submit *task* and count the attempt."""
         self._running[task.key] = task
         self._attempts[task.key] = self._attempts.get(task.key, 0) + 1
         self.executor.submit(task)
@@ -126,6 +127,7 @@ class Scheduler:
         return SceneTask(**vars(batch), net_digest=self._net(batch.options.net))
 
     def _net(self, net: str) -> str:
+        """Return the digest of the files of *net*."""
         if net not in self._net_digests:
             self._net_digests[net] = file_digest(*net_files(net))
         return self._net_digests[net]
@@ -183,6 +185,7 @@ class Scheduler:
             raise SceneError(failed.message) if failed.kind == "no_scene" else InputError(failed.message)
 
     def _release(self, batch: Batch) -> None:
+        """Make the episodes of a batch ready, as its seed scenes are stored."""
         self._ready.extend(self._without_scene.pop(batch.key, ()))
 
     def _record_without_scene(self, task: SceneTask, failed: Failed) -> None:
@@ -239,10 +242,10 @@ class Scheduler:
 
     def _disk_full(self, lost: int) -> FileError:
         """Return the error for a full disk; *lost*: finished episodes that did not fit."""
-        left = sum(not self.store.has(key) for key in self._jobs)
-        kept = "all that had finished is stored" if not lost else f"{lost} that had finished did not fit"
+        left_to_do = sum(not self.store.has(key) for key in self._jobs)
+        stored = "all that had finished is stored" if not lost else f"{lost} that had finished did not fit"
         return FileError(
             self.store.path,
-            f"the disk is full with {counted(left, 'episode')} left to do; {kept}",
+            f"the disk is full with {counted(left_to_do, 'episode')} left to do; {stored}",
             "free some space and go on with --resume",
         )

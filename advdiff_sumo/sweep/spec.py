@@ -184,6 +184,7 @@ class SweepSpec(Options):
                 yield where, self._cell(where, seed, case.episodes or self.episodes, values)
 
     def _grid_cells(self, grid: Grid) -> Iterator[tuple[str, RunOptions]]:
+        """Yield the runs of *grid*, each after an empty place."""
         for name in ("nets", "targets", "backgrounds"):
             if not getattr(grid, name):
                 raise ConfigError(f"the grid is empty: grid.{name} has no entry; name at least one")
@@ -211,11 +212,13 @@ class SweepSpec(Options):
 
 
 def _absolute(entry: _Entry) -> _Entry:
+    """Return *entry* with full paths."""
     files = {name: getattr(entry, name) for name in ("demand", "scenes")}
     paths = {name: str(Path(file).resolve()) for name, file in files.items() if file}
     return entry.model_copy(update={"net": net_name(entry.net), **paths})
 
 
 def _combinations(choices: Sequence[Choice], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the name and options of each combination of *choices*."""
     for k, choice in enumerate(choices):
         yield from choice.combinations(f"{where}.{k}")

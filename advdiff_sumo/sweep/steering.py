@@ -152,8 +152,8 @@ class Steering:
         """Return the arm of *candidate*."""
         scene = (candidate.target, candidate.scene)
         manoeuvre = self.driven.get(scene, "")
-        known = manoeuvre, self.tried[scene], self.met[scene]
-        return Arm(candidate.target, candidate.net, candidate.kind, *known)
+        history = manoeuvre, self.tried[scene], self.met[scene]
+        return Arm(candidate.target, candidate.net, candidate.kind, *history)
 
     def _promise(self, arm: Arm) -> float:
         """Return the expected number of empty cells that an episode of *arm* fills."""

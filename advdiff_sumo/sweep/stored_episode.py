@@ -74,6 +74,7 @@ def unpack(content: bytes) -> dict[str, bytes]:
 
 
 def _parquet(table: pa.Table) -> bytes:
+    """Return *table* as the bytes of a Parquet file."""
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue()

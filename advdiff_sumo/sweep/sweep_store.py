@@ -178,7 +178,7 @@ class Store:
 
     # --- episodes ----------------------------------------------------------------------------------------
 
-    def write(self, key: str, part: bytes) -> None:
+    def write(self, key: str, content: bytes) -> None:
         """Store a finished episode.
 
         Raises:
@@ -190,7 +190,7 @@ class Store:
             path.parent.mkdir(exist_ok=True)
         except OSError as error:
             raise unwritable(path, error) from None
-        write_checked(path, part)
+        write_checked(path, content)
 
     def read(self, key: str) -> StoredEpisode | None:
         """Return a finished episode; None if it is missing or its file is damaged."""
@@ -218,8 +218,8 @@ class Store:
         """Return whether an episode need not be run: it is stored and, with *retry_failed*, did not fail."""
         if not retry_failed:
             return self.has(key)
-        part = self.read(key)
-        return part is not None and part.failed is None
+        episode = self.read(key)
+        return episode is not None and episode.failed is None
 
     def checksum(self, key: str) -> str:
         """Return the checksum written in the file of a finished episode; "" if there is none."""
@@ -270,15 +270,15 @@ class Store:
             self._batch_cache.popitem(last=False)
 
 
-def must_equal(path: Path, begun: SweepSpec, asked: SweepSpec) -> None:
+def must_equal(path: Path, stored: SweepSpec, requested: SweepSpec) -> None:
     """Check that the sweep in *path* is the requested one.
 
     Raises:
         ConfigError: the two differ.
     """
-    old, new = begun.model_dump(mode="json"), asked.model_dump(mode="json")
-    for key in old:
-        if old[key] != new[key]:
+    stored_values, requested_values = stored.model_dump(mode="json"), requested.model_dump(mode="json")
+    for key in stored_values:
+        if stored_values[key] != requested_values[key]:
             raise ConfigError(
                 f"{path}: belongs to another sweep: its {key} differ from those of the file; "
                 "give the file that it was begun with, or choose a new --out"

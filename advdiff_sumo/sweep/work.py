@@ -207,11 +207,13 @@ def _road(net: str, digest: str) -> RoadMap:
 
 @lru_cache(maxsize=8)
 def _target(name: str, key: _CacheKey) -> Target:
+    """Return the target *name*, cached by its options."""
     return target_of(key.options.model_copy(update={"target": name, "target_options": key.own}))
 
 
 @lru_cache(maxsize=8)
 def _policy(name: str, key: _CacheKey) -> TrafficPolicy:
+    """Return the policy *name*, cached by its options."""
     return policy_of(key.options.model_copy(update={"background": name, "background_options": key.own}))
 
 

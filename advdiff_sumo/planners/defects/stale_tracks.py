@@ -47,11 +47,11 @@ class Late(PlantedFault):
                 xy[row], yaw[row], speed[row], valid[row] = _states_at(track, times_s)
         rows = others_of(scene)
         late = with_states(scene, rows, xy, yaw, speed)
-        shown = np.where(rows[:, None], valid, history.valid)
-        late = replace(late, history=replace(late.history, valid=shown))
+        is_seen = np.where(rows[:, None], valid, history.valid)
+        late = replace(late, history=replace(late.history, valid=is_seen))
         earlier = [signals for time, signals in past.signals if time <= scene.time_s - self.value + _SLACK_S]
         late = replace(late, signals=earlier[-1] if earlier else past.signals[0][1])
-        return late.without(rows & ~shown[:, -1]), past
+        return late.without(rows & ~is_seen[:, -1]), past
 
 
 class ConstantVelocity(PlantedFault):

@@ -107,14 +107,14 @@ class LaneGraphPlanner:
         )
         target_lane = next((lane for lane in memory.lanes if not lane.startswith(":")), None)
         cost += driving_cost(lateral, combos, candidates, state, target_lane, self.options)
-        best = int(np.argmin(cost))
+        chosen = int(np.argmin(cost))
         # 5. Follow it with a bicycle model.
-        variant = lateral[int(combos.variant[best])]
-        plan = _driven(variant, candidates, best, state)
-        own_duties = all_duties[int(combos.variant[best])]
+        variant = lateral[int(combos.variant[chosen])]
+        plan = _driven(variant, candidates, chosen, state)
+        own_duties = all_duties[int(combos.variant[chosen])]
         halt_m = max(_STOPPED_WITHIN_M, self.options.stop_gap_m + _STOP_TOLERANCE_M)
         return plan, _remember(
-            memory, scene, state, place, variant, own_duties, candidates.s_m[best], plan, others, halt_m
+            memory, scene, state, place, variant, own_duties, candidates.s_m[chosen], plan, others, halt_m
         )
 
     def _candidates(
@@ -152,11 +152,11 @@ def _claims(memory: LaneGraphMemory, state: TargetState) -> tuple[Link, ...]:
     return tuple(link for link, claimed in zip(path.links, near, strict=True) if claimed)
 
 
-def _driven(variant: Variant, candidates: ProposalStates, best: int, state: TargetState) -> Trajectory:
+def _driven(variant: Variant, candidates: ProposalStates, chosen: int, state: TargetState) -> Trajectory:
     """Return the trajectory of a bicycle model that follows the chosen candidate."""
     candidate_time_s = STEP_S * np.arange(candidates.s_m.shape[1] + 1)
     time_s = _PLAN_STEP_S * np.arange(1, _PLAN_STEPS + 1)
-    speed = np.interp(time_s, candidate_time_s, np.append(state.speed_mps, candidates.speed_mps[best]))
+    speed = np.interp(time_s, candidate_time_s, np.append(state.speed_mps, candidates.speed_mps[chosen]))
     previous = np.append(state.speed_mps, speed[:-1])
     s = variant.s_m + np.cumsum(0.5 * (speed + previous) * _PLAN_STEP_S)
     xy, yaw = variant.poses(s)
@@ -231,6 +231,6 @@ def _waiting(memory: LaneGraphMemory, scene: Scene, state: TargetState, others: 
     """Return the time at which each vehicle that stands now came to a stop."""
     ids = [scene.history.ids[row] for row in others.rows.tolist()] + [scene.target_id]
     speeds = [*others.speed_mps.tolist(), state.speed_mps]
-    known = memory.waiting_since_s
+    since_s = memory.waiting_since_s
     pairs = zip(ids, speeds, strict=True)
-    return {vehicle_id: known.get(vehicle_id, scene.time_s) for vehicle_id, speed in pairs if speed < 0.5}
+    return {vehicle_id: since_s.get(vehicle_id, scene.time_s) for vehicle_id, speed in pairs if speed < 0.5}

@@ -129,13 +129,13 @@ def _placed(owner: IntArray, paths: Sequence[ReferencePath], others: Others) -> 
     error = wrap_angle(others.yaw_rad[owner] - stack.at(s, np.zeros_like(s))[1][:, 0])
     least_offset = np.full(len(others.rows), np.inf)
     np.minimum.at(least_offset, owner, np.abs(d[:, 0]))
-    kept = np.flatnonzero(np.abs(d[:, 0]) < least_offset[owner] + _MAX_EXTRA_OFFSET_M)
-    share = 1.0 / np.bincount(owner[kept], minlength=len(others.rows))
+    near_enough = np.flatnonzero(np.abs(d[:, 0]) < least_offset[owner] + _MAX_EXTRA_OFFSET_M)
+    share = 1.0 / np.bincount(owner[near_enough], minlength=len(others.rows))
     return [
         PossibleWay(
             int(owner[n]), paths[n], float(s[n, 0]), float(d[n, 0]), float(error[n]), float(share[owner[n]])
         )
-        for n in kept.tolist()
+        for n in near_enough.tolist()
     ]
 
 

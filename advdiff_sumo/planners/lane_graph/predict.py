@@ -103,8 +103,8 @@ def _poses(
     drift = others.speed_mps[owner] * np.sin(error)
     no_drift = np.array([way.on_junction for way in ways], dtype=np.bool_) | (np.abs(drift) < _MIN_DRIFT_MPS)
     drift = np.where(no_drift, 0.0, drift)
-    time = STEP_S * np.arange(1, driven_m.shape[1] + 1)
-    d = d0[:, None] + drift[:, None] * _DRIFT_S * (1.0 - np.exp(-time / _DRIFT_S))
+    time_s = STEP_S * np.arange(1, driven_m.shape[1] + 1)
+    d = d0[:, None] + drift[:, None] * _DRIFT_S * (1.0 - np.exp(-time_s / _DRIFT_S))
     xy, yaw = stack.at(s0[:, None] + driven_m, d)
     return xy, yaw + error[:, None] * np.exp(-driven_m / _ALIGN_M)
 

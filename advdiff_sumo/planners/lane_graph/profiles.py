@@ -174,11 +174,11 @@ def drive(
         gaps[1] = combos.stop_m - s - state.front_m - options.stop_gap_m + options.min_gap_m
         obstacle_speed[0] = leader_speed[:, k]
         idm_accel = idm.accelerations(speed, desired[rows, cell], gaps, obstacle_speed, clear[:, :, k])
-        wanted = np.where(is_braking, braking, np.minimum(idm_accel[0], idm_accel[1]))
-        max_change = np.where((wanted < urgent_mps2) | is_emergency, emergency_step, jerk_step)
-        accel = np.minimum(np.maximum(wanted, accel - max_change), accel + max_change)
+        wanted_accel = np.where(is_braking, braking, np.minimum(idm_accel[0], idm_accel[1]))
+        max_change = np.where((wanted_accel < urgent_mps2) | is_emergency, emergency_step, jerk_step)
+        accel = np.minimum(np.maximum(wanted_accel, accel - max_change), accel + max_change)
         accel = np.minimum(np.maximum(accel, -options.brake_mps2), options.accel_mps2)
-        accel[(speed <= 0.0) & (wanted <= 0.0)] = 0.0
+        accel[(speed <= 0.0) & (wanted_accel <= 0.0)] = 0.0
         next_speed = np.maximum(speed + accel * STEP_S, 0.0)
         s = s + 0.5 * (speed + next_speed) * STEP_S
         accel = (next_speed - speed) / STEP_S

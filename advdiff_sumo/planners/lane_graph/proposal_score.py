@@ -252,13 +252,13 @@ def driving_cost(
     progress = candidates.s_m[:, -1] - start[combos.variant]
     horizon_s = STEP_S * candidates.s_m.shape[1]
     limit = np.array([float(v.path.limit_mps[min(int(v.s_m), len(v.path.limit_mps) - 1)]) for v in variants])
-    wanted = np.maximum(options.speed_factor * limit.max() * horizon_s, 5.0)
+    desired_m = np.maximum(options.speed_factor * limit.max() * horizon_s, 5.0)
     accel = candidates.accel_mps2
     jerk = np.diff(accel, axis=1, prepend=state.accel_mps2) / STEP_S
     yaw_rate = np.diff(np.unwrap(candidates.yaw_rad, axis=1), axis=1) / STEP_S
     lateral = np.abs(yaw_rate * candidates.speed_mps[:, 1:])
     slide = np.maximum(lateral - _SLIDE_RATIO * options.lateral_mps2, 0.0)
-    cost = _PROGRESS * (1.0 - progress / wanted) + _ACCEL * (accel**2).mean(-1)
+    cost = _PROGRESS * (1.0 - progress / desired_m) + _ACCEL * (accel**2).mean(-1)
     cost += _JERK * np.abs(jerk).mean(-1) + _LATERAL * lateral.max(-1) + _SLIDE * STEP_S * slide.sum(-1)
     lane_cost = np.array([_lane_cost(v, target_lane, state, options) for v in variants])
     return np.asarray(cost + lane_cost[combos.variant])

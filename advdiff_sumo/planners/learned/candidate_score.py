@@ -138,8 +138,8 @@ def _route_cost(candidates: Candidates, guide: Guide, dt_s: float) -> FloatArray
     overrun_m = s.max(1) + state.front_m - guide.stop_m
     total += _RED * np.clip(overrun_m, 0.0, 1.0)
     limit = float(keep.path.limit_mps[min(max(int(keep.s_m), 0), len(keep.path.limit_mps) - 1)])
-    wanted = max(limit * dt_s * candidates.yaw_rad.shape[1], 5.0)
-    total -= _PROGRESS * np.minimum((s[:, -1] - keep.s_m) / wanted, 1.0)
+    desired_m = max(limit * dt_s * candidates.yaw_rad.shape[1], 5.0)
+    total -= _PROGRESS * np.minimum((s[:, -1] - keep.s_m) / desired_m, 1.0)
     if len(lines) > 1:
         room_m = keep.path.length_m - keep.s_m - state.front_m
         urgency = np.clip(1.0 - (room_m - _URGENT_M) / (_RELAXED_M - _URGENT_M), 0.0, 1.0)

@@ -55,21 +55,21 @@ def candidates(
         brakes: whether to try braking.
     """
     count = len(speed_mps)
-    parts = [(xy_m, yaw_rad, speed_mps, RAW, np.arange(count))]
+    groups = [(xy_m, yaw_rad, speed_mps, RAW, np.arange(count))]
     if guide is not None and route:
         for index, line in enumerate(guide.lines):
             states = _along(line, speed_mps, now[2], dt_s)
-            parts.append((*states, index, np.arange(count)))
+            groups.append((*states, index, np.arange(count)))
     if brakes:
         time_s = dt_s * np.arange(1, speed_mps.shape[1] + 1)
         speeds = np.maximum(now[2] - np.array(BRAKES_MPS2)[:, None] * time_s, 0.0)
         states = (
             _straight(now, speeds, dt_s) if guide is None else _along(guide.lines[0], speeds, now[2], dt_s)
         )
-        parts.append((*states, BRAKE, np.zeros(len(speeds), dtype=np.int64)))
-    xy, yaw, speed = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    line_of = np.concatenate([np.full(len(part[2]), part[3]) for part in parts])
-    return Candidates(xy, yaw, speed, line_of, np.concatenate([part[4] for part in parts]))
+        groups.append((*states, BRAKE, np.zeros(len(speeds), dtype=np.int64)))
+    xy, yaw, speed = (np.concatenate([group[k] for group in groups]) for k in range(3))
+    line_of = np.concatenate([np.full(len(group[2]), group[3]) for group in groups])
+    return Candidates(xy, yaw, speed, line_of, np.concatenate([group[4] for group in groups]))
 
 
 def driven_m(speed_mps: FloatArray, now_mps: float, dt_s: float) -> FloatArray:

@@ -103,23 +103,27 @@ class LearnedPlanner:
         guide, lanes = guide_of(road, scene, memory.lanes)
         # 3. Propose candidates and choose the cheapest.
         xy, yaw, speed = _world(view, prediction.rollout)
-        own = view.now.xy_m[0, -1], float(view.now.yaw_rad[0, -1]), max(float(view.now.speed_mps[0, -1]), 0.0)
+        target_state = (
+            view.now.xy_m[0, -1],
+            float(view.now.yaw_rad[0, -1]),
+            max(float(view.now.speed_mps[0, -1]), 0.0),
+        )
         offered = candidates(
             xy[:, 0],
             yaw[:, 0],
             speed[:, 0],
             guide,
-            own,
+            target_state,
             MODEL_STEP_S,
             self.options.route,
             self.options.brakes,
         )
         around = _around(view, xy, yaw)
         scored_guide = guide if self.options.route else None
-        best = int(np.argmin(cost(offered, around, road, scored_guide, view.now.size_m[0], MODEL_STEP_S)))
+        chosen = int(np.argmin(cost(offered, around, road, scored_guide, view.now.size_m[0], MODEL_STEP_S)))
         # 4. Turn it into a plan.
-        noise = prediction.noise[int(offered.sample[best])] if prediction.noise else {}
-        return _driven(offered, best, guide, view), LearnedMemory(lanes, noise)
+        noise = prediction.noise[int(offered.sample[chosen])] if prediction.noise else {}
+        return _driven(offered, chosen, guide, view), LearnedMemory(lanes, noise)
 
 
 class SimNetPlanner(LearnedPlanner):
@@ -158,18 +162,18 @@ def _world(view: View, rollout: Rollout) -> tuple[FloatArray, FloatArray, FloatA
 def _around(view: View, xy_m: FloatArray, yaw_rad: FloatArray) -> Around:
     """Return the others in the samples, and which of them follow the target."""
     now = view.now
-    own = now.xy_m[0, -1], float(now.yaw_rad[0, -1]), float(now.size_m[0, 0])
-    is_follower = followers(now.xy_m[1:, -1], now.yaw_rad[1:, -1], own)
+    target_pose = now.xy_m[0, -1], float(now.yaw_rad[0, -1]), float(now.size_m[0, 0])
+    is_follower = followers(now.xy_m[1:, -1], now.yaw_rad[1:, -1], target_pose)
     return Around(xy_m[:, 1:], yaw_rad[:, 1:], now.size_m[1:], is_follower)
 
 
-def _driven(offered: Candidates, best: int, guide: Guide | None, view: View) -> Trajectory:
+def _driven(offered: Candidates, chosen: int, guide: Guide | None, view: View) -> Trajectory:
     """Return the chosen candidate as a plan; a bicycle model follows it if it is not a sample as it is."""
-    if offered.line[best] == RAW or guide is None:
+    if offered.line[chosen] == RAW or guide is None:
         return Trajectory(
-            offered.xy_m[best], wrap_angle(offered.yaw_rad[best]), offered.speed_mps[best], MODEL_STEP_S
+            offered.xy_m[chosen], wrap_angle(offered.yaw_rad[chosen]), offered.speed_mps[chosen], MODEL_STEP_S
         )
-    return _followed(guide.lines[max(int(offered.line[best]), 0)], offered.speed_mps[best], view)
+    return _followed(guide.lines[max(int(offered.line[chosen]), 0)], offered.speed_mps[chosen], view)
 
 
 def _followed(line: Variant, speed_mps: FloatArray, view: View) -> Trajectory:

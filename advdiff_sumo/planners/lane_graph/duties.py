@@ -80,10 +80,10 @@ def duties(
         rule = rule_at(geometry.road, link, scene.signals)
         at_line = distance > (-_PASSED_M if state.speed_mps < 1.0 else -0.3)
         junction_foes = _foes(geometry, scene, link, line, rule, ways, others)
-        if (
-            at_line
-            and _must_stop(link, rule, distance, state, junction_foes, scene, others, ways, memory, options)
-        ) or (at_line and _exit_blocked(geometry, link, line, beyond, state, variant, others)):
+        if at_line and (
+            _must_stop(link, rule, distance, state, junction_foes, scene, others, ways, memory, options)
+            or _exit_blocked(geometry, link, line, beyond, state, variant, others)
+        ):
             stop = min(stop, line)
         if not rule.in_turn:
             foes += junction_foes

@@ -34,10 +34,10 @@ def _write(folder: Path, kind: str, lefthand: bool) -> Path:
     edges = []
     for name in _ARMS:
         major = name in ("west", "east")
-        rest = f'numLanes="{2 if major else 1}" priority="{3 if major else 1}" speed="13.89"'
+        attributes = f'numLanes="{2 if major else 1}" priority="{3 if major else 1}" speed="13.89"'
         edges += [
-            f'<edge id="{name}_in" from="{name}" to="c" {rest}/>',
-            f'<edge id="{name}_out" from="c" to="{name}" {rest}/>',
+            f'<edge id="{name}_in" from="{name}" to="c" {attributes}/>',
+            f'<edge id="{name}_out" from="c" to="{name}" {attributes}/>',
         ]
     (folder / "n.nod.xml").write_text(
         f'<nodes><node id="c" x="0" y="0" type="{kind}"/>{"".join(nodes)}</nodes>'

@@ -1,4 +1,4 @@
-"""Constructed encounters in SUMO: small roads, others that drive as written, and whether the target failed."""
+"""Build encounters in SUMO: small roads, road users that drive as scripted, and whether the target failed."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ _ARMS = (("c", 0, 0), ("west", -300, 0), ("east", 300, 0), ("south", 0, -300))
 
 @dataclass(frozen=True)
 class Scripted:
-    """A road user that drives as written.
+    """A road user that drives as scripted.
 
     Attributes:
-        lanes: whose centre lines it follows, internal ones included.
-        s_m: where its centre is at instant 0.
-        speed_mps: speed (T,) at the instants (T,) s, or one number.
-        aside_m: offset to the left (T,) at the instants (T,) s, or one number.
+        lanes: lanes whose centre lines it follows, internal ones included.
+        s_m: arc length of its centre at time 0.
+        speed_mps: function of times (T,) s that returns speeds (T,), or one speed.
+        aside_m: function of times (T,) s that returns lateral offsets (T,), left positive, or one offset.
         kind: class of road user.
     """
 
@@ -71,28 +71,28 @@ class Scripted:
     kind: AgentClass = AgentClass.CAR
 
     def states(self, road: RoadMap, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return places (T, 2), headings (T,) and speeds (T,)."""
+        """Return centres (T, 2), headings (T,) and speeds (T,)."""
         line = Polyline.of(np.concatenate([road.lanes[lane].centre_xy_m for lane in self.lanes]))
-        fine = np.arange(times_s[0], times_s[-1] + 0.005, 0.01)
-        speed = _of(self.speed_mps, fine)
+        fine_s = np.arange(times_s[0], times_s[-1] + 0.005, 0.01)
+        speed = _of(self.speed_mps, fine_s)
         s = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.01))
-        s += self.s_m - np.interp(0.0, fine, s)
-        xy, yaw = line.at(s, _of(self.aside_m, fine), extrapolate=True)
-        drift = np.gradient(_of(self.aside_m, fine), 0.01)
+        s += self.s_m - np.interp(0.0, fine_s, s)
+        xy, yaw = line.at(s, _of(self.aside_m, fine_s), extrapolate=True)
+        drift = np.gradient(_of(self.aside_m, fine_s), 0.01)
         yaw = np.unwrap(yaw) + np.arctan2(drift, np.maximum(speed, 1.0))
-        rows = [np.interp(times_s, fine, values) for values in (xy[:, 0], xy[:, 1], yaw, speed)]
-        return np.column_stack(rows[:2]), rows[2], rows[3]
+        columns = [np.interp(times_s, fine_s, values) for values in (xy[:, 0], xy[:, 1], yaw, speed)]
+        return np.column_stack(columns[:2]), columns[2], columns[3]
 
 
 @dataclass(frozen=True)
 class Encounter:
-    """A scene and what is in it.
+    """A road and the road users on it.
 
     Attributes:
         road: the net.
-        target: where the target is at first, and how fast it was.
-        route: of the target.
-        others: who drives as written.
+        target: initial position and speed of the target.
+        route: route of the target.
+        others: scripted road users.
         horizon_s: duration.
     """
 
@@ -132,36 +132,36 @@ class Encounter:
 
     def scene(self) -> SeedScene:
         """Return the seed scene."""
-        all_of = (self.target, *self.others)
+        users = (self.target, *self.others)
         past = 0.5 * np.arange(-HISTORY + 1, 1)
         future = STEP_S * np.arange(-20, round(self.horizon_s / STEP_S) + 1)
         return SeedScene(
             name="made",
             net=self.road.path,
             seed=1,
-            history=_tracks(self.road, all_of, past, 0.5),
+            history=_tracks(self.road, users, past, 0.5),
             target="car0",
             routes={"car0": self.route},
-            log=_tracks(self.road, all_of, future, STEP_S),
-            start=PlacedTraffic(np.ones(len(all_of), dtype=np.bool_)),
+            log=_tracks(self.road, users, future, STEP_S),
+            start=PlacedTraffic(np.ones(len(users), dtype=np.bool_)),
             horizon_s=self.horizon_s,
         )
 
 
 def failed(row: dict[str, Any]) -> bool:
-    """Return whether the target collided, or left the road, by its own fault, and this counts as a valid failure."""
+    """Return whether the target had a valid failure by its own fault."""
     return bool(row["valid_failure"] and row["at_fault"] == "target")
 
 
 def braking(
     from_mps: float, at_s: float, brake_mps2: float, to_mps: float = 0.0
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return a speed over time: steady, then braking to *to_mps*."""
+    """Return a speed over time: constant, then decreasing to *to_mps*."""
     return lambda t: np.clip(from_mps - brake_mps2 * np.maximum(t - at_s, 0.0), to_mps, from_mps)
 
 
 def sliding(begin_s: float, takes_s: float, from_m: float) -> Callable[[FloatArray], FloatArray]:
-    """Return an offset over time that goes smoothly from *from_m* to 0."""
+    """Return a lateral offset over time that goes smoothly from *from_m* to 0."""
 
     def aside(t: FloatArray) -> FloatArray:
         u = np.clip((t - begin_s) / takes_s, 0.0, 1.0)
@@ -191,12 +191,12 @@ def three_lanes(folder: Path, limit_mps: float) -> RoadMap:
 
 
 def crossing(folder: Path, kind: str) -> RoadMap:
-    """Return a crossing of single lanes, west to east with the right of way where *kind* knows any."""
+    """Return a crossing of single lanes; west to east has the right of way if *kind* gives any."""
     return RoadMap.read(build(folder, CROSSING[0].format(kind=kind), CROSSING[1], name=f"crossing-{kind}"))
 
 
 def bending(folder: Path) -> RoadMap:
-    """Return a junction of three arms whose main road bends: who comes from the east and turns south has priority."""
+    """Return a junction of three arms whose main road bends: from the east to the south has priority."""
     nodes = "<nodes>" + "".join(
         f'<node id="{name}" x="{x}" y="{y}" type="priority"/>' for name, x, y in _ARMS
     )

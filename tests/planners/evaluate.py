@@ -1,4 +1,4 @@
-"""Figures of a target over many episodes; no test, run it by hand.
+"""Print figures of a target over many episodes; no test, run it by hand.
 
 ``python -m tests.planners.evaluate --net networks/downtown.net.xml --target lane_graph IDM --scenes 50``
 """
@@ -15,7 +15,7 @@ from .harness import drive, outcome, scenes, summary
 
 
 def main() -> None:
-    """Print an episode's outcome where something went wrong, and the totals of every target."""
+    """Print the outcome of each episode that went wrong, and the totals of every target."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--net", type=Path, required=True)
     parser.add_argument("--target", nargs="+", default=["lane_graph", "IDM"])
@@ -27,13 +27,13 @@ def main() -> None:
     road = RoadMap.read(args.net)
     starts = list(scenes(road, args.seed, args.scenes, args.horizon, args.demand))
     for target in args.target:
-        found = []
+        outcomes = []
         for start in starts:
-            found.append(outcome(*drive(road, start, target, args.horizon), road))
-            if found[-1].struck or found[-1].failure or found[-1].stood_s > 25.0:
-                sys.stdout.write(f"{found[-1]}\n")
+            outcomes.append(outcome(*drive(road, start, target, args.horizon), road))
+            if outcomes[-1].struck or outcomes[-1].failure or outcomes[-1].stood_s > 25.0:
+                sys.stdout.write(f"{outcomes[-1]}\n")
                 sys.stdout.flush()
-        sys.stdout.write(f"{target} on {road.name}\n{summary(found)}\n")
+        sys.stdout.write(f"{target} on {road.name}\n{summary(outcomes)}\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Closed-loop runs of a target in natural SUMO traffic, and their figures."""
+"""Run a target in closed loop in natural SUMO traffic, and compute figures."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _STANDING_MPS = 0.3
 
 @dataclass(frozen=True)
 class Outcome:
-    """One episode in numbers.
+    """Figures of one episode.
 
     Attributes:
         scene: name of the seed scene.
-        end: why it ended.
-        struck: kind of the target's collision and the verdict, "" for none.
+        end: reason for its end.
+        struck: type of the target's collision and the reason for its fault; "" for none.
         at_fault: whether the target caused it, or left the road.
-        route_m: how far it came along its route.
-        mean_mps: its mean speed.
-        stood_s: longest time in which it stood.
+        route_m: distance along its route.
+        mean_mps: mean speed of the target.
+        stood_s: longest time at standstill.
         brake_mps2: strongest deceleration.
         lateral_mps2: strongest lateral acceleration.
         plan_s: median wall-clock time of a plan; 0 for SUMO-driven targets.
@@ -59,7 +59,7 @@ class Outcome:
 def scenes(
     road: RoadMap, seed: int, count: int, horizon_s: float, demand: Path | None = None
 ) -> Iterator[SeedScene]:
-    """Yield *count* seed scenes of natural traffic, generated or of *demand*."""
+    """Yield *count* seed scenes of natural traffic, generated or from *demand*."""
     files = DemandFiles((demand,), (), 0.0) if demand else None
     source = NaturalTraffic(road, files, SceneOptions(), SimOptions(), horizon_s, SeedTree(seed))
     found = 0
@@ -79,18 +79,18 @@ def drive(
 
 
 def outcome(record: EpisodeRecord, timing: Timing, road: RoadMap) -> Outcome:
-    """Return *record* in numbers."""
-    found, tracks, row = summarise(record, road), record.tracks, record.target
-    there = tracks.valid[row]
-    speed, yaw = tracks.speed_mps[row, there], np.unwrap(tracks.yaw_rad[row, there])
-    struck = f"{found.struck.kind}: {found.struck.verdict.fault.reason}" if found.struck else ""
-    caused = found.struck is not None and found.struck.verdict.fault.at_fault is AtFault.TARGET
+    """Return the figures of *record*."""
+    metrics, tracks, row = summarise(record, road), record.tracks, record.target
+    is_valid = tracks.valid[row]
+    speed, yaw = tracks.speed_mps[row, is_valid], np.unwrap(tracks.yaw_rad[row, is_valid])
+    struck = f"{metrics.struck.kind}: {metrics.struck.verdict.fault.reason}" if metrics.struck else ""
+    caused = metrics.struck is not None and metrics.struck.verdict.fault.at_fault is AtFault.TARGET
     return Outcome(
         scene=record.scene,
         end=str(record.end),
-        struck="left the road" if found.left_road else struck,
-        at_fault=caused or found.left_road is not None,
-        route_m=float(found.progress.route_m or 0.0),
+        struck="left the road" if metrics.left_road else struck,
+        at_fault=caused or metrics.left_road is not None,
+        route_m=float(metrics.progress.route_m or 0.0),
         mean_mps=float(speed.mean()),
         stood_s=_longest(speed < _STANDING_MPS) * tracks.dt_s,
         brake_mps2=float(-np.diff(speed).min(initial=0.0) / tracks.dt_s),
@@ -101,22 +101,22 @@ def outcome(record: EpisodeRecord, timing: Timing, road: RoadMap) -> Outcome:
 
 
 def _longest(mask: BoolArray) -> int:
-    best = run = 0
+    longest = run = 0
     for value in mask.tolist():
         run = run + 1 if value else 0
-        best = max(best, run)
-    return best
+        longest = max(longest, run)
+    return longest
 
 
-def summary(found: list[Outcome]) -> str:
-    """Return the totals of *found* as text."""
-    ends = {end: sum(x.end == end for x in found) for end in sorted({x.end for x in found})}
+def summary(runs: list[Outcome]) -> str:
+    """Return the totals of *runs* as text."""
+    ends = {end: sum(x.end == end for x in runs) for end in sorted({x.end for x in runs})}
     rows = [
-        f"episodes {len(found)}, ends {ends}",
-        f"collisions {sum(bool(x.struck) for x in found)}, at fault {sum(x.at_fault for x in found)}",
-        f"stood for more than 25 s {sum(x.stood_s > 25.0 for x in found)}",
-        f"mean speed {np.mean([x.mean_mps for x in found]):.2f} m/s, route {np.mean([x.route_m for x in found]):.0f} m",
-        f"braking p95 {np.percentile([x.brake_mps2 for x in found], 95):.1f} m/s²",
-        f"median plan {1e3 * np.median([x.plan_s for x in found]):.1f} ms",
+        f"episodes {len(runs)}, ends {ends}",
+        f"collisions {sum(bool(x.struck) for x in runs)}, at fault {sum(x.at_fault for x in runs)}",
+        f"stood for more than 25 s {sum(x.stood_s > 25.0 for x in runs)}",
+        f"mean speed {np.mean([x.mean_mps for x in runs]):.2f} m/s, route {np.mean([x.route_m for x in runs]):.0f} m",
+        f"braking p95 {np.percentile([x.brake_mps2 for x in runs], 95):.1f} m/s²",
+        f"median plan {1e3 * np.median([x.plan_s for x in runs]):.1f} ms",
     ]
     return "\n".join(rows)

@@ -1,4 +1,4 @@
-"""Planners that are sound but for whom they mind: the nearest few alone."""
+"""Define planners that are sound, except that they see only the nearest road users."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class NearestThree(LaneGraphPlanner):
     most = 3
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Return the plan of one who sees nobody else."""
+        """Return the plan of a planner that sees no other road users."""
         apart = self.apart_m(scene)
         apart[scene.target] = np.inf
         hidden = np.ones(len(apart), dtype=np.bool_)
@@ -28,7 +28,7 @@ class NearestThree(LaneGraphPlanner):
         return super().plan(road, scene.without(hidden), memory, rng)
 
     def apart_m(self, scene: Scene) -> FloatArray:
-        """Return (A,) how far away each is; inf for who does not count."""
+        """Return (A,) the distance of each road user; inf for those that do not count."""
         place, _ = seen_from_target(scene)
         return np.where(scene.history.valid[:, -1], np.hypot(*place.T), np.inf)
 
@@ -39,5 +39,5 @@ class NearestAhead(NearestThree):
     most = 1
 
     def apart_m(self, scene: Scene) -> FloatArray:
-        """Return (A,) how far ahead each is; inf for who is behind."""
+        """Return (A,) the distance of each road user ahead; inf for those behind."""
         return np.where(seen_from_target(scene)[0][:, 0] > 0.0, super().apart_m(scene), np.inf)

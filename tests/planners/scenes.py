@@ -1,4 +1,4 @@
-"""Scenes made by hand, and a loop without SUMO in which the others keep their speed."""
+"""Make scenes by hand, and run a loop without SUMO in which the others keep their speed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Car:
 def make_scene(
     road: RoadMap, cars: Sequence[Car], route: tuple[str, ...], signals: Mapping[str, str] | None = None
 ) -> Scene:
-    """Return a scene of *cars* that have kept their speed; the first one is the target."""
+    """Return a scene of *cars* with constant speed so far; the first one is the target."""
     xy, yaw = zip(*(road.to_world(car.lane, car.s_m, car.d_m) for car in cars), strict=True)
     poses, yaws = np.array(xy), np.array(yaw, dtype=np.float64)
     speed = np.array([car.speed_mps for car in cars])
@@ -53,7 +53,7 @@ def make_scene(
 
 
 def roll(road: RoadMap, planner: Planner, scene: Scene, seconds: float) -> Tracks:
-    """Return what happens at every half second: the target follows its plans, the others go straight on."""
+    """Return the tracks at every half second: the target follows its plans, the others drive straight on."""
     rng = np.random.default_rng(0)
     memory = planner.start(road, scene, rng)
     frames = [scene.history.window(HISTORY - 1, HISTORY)]

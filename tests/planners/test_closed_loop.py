@@ -13,7 +13,7 @@ from .harness import drive, outcome, scenes
 
 
 @pytest.mark.parametrize("net", ["downtown", "downtown-left", "motorway"])
-def test_it_gets_along_in_natural_traffic(networks: Path, net: str) -> None:
+def test_it_is_never_at_fault_in_natural_traffic(networks: Path, net: str) -> None:
     road = RoadMap.read(networks / f"{net}.net.xml")
     start = next(scenes(road, 7, 1, 15.0))
     record, timing = drive(road, start, "lane_graph", 12.0)

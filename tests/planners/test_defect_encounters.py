@@ -1,4 +1,4 @@
-"""Each defect at its strongest fails in an encounter in SUMO in which the sound planner does not."""
+"""Each defect at its strongest severity fails in an encounter in SUMO in which the sound planner does not."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
 
 @pytest.fixture(scope="module")
 def sound(encounters: dict[str, Encounter]) -> Any:
-    """Return what comes of an encounter without a defect, driven once."""
+    """Return a function for the row of an encounter without a defect, driven once."""
     return cache(lambda name, target="lane_graph": encounters[name].drive(target=target))
 
 

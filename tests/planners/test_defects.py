@@ -1,4 +1,4 @@
-"""Planted defects: how they are written, and what each does to a scene or a plan, worked by hand."""
+"""Planted defects: how they are written, and what each does to a scene or a plan, computed by hand."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Counting:
         return replace(stop(2.0), speed_mps=stop(2.0).speed_mps + 1e-3 * rng.random()), memory + 1
 
 
-# --- how they are written ---------------------------------------------------------------------------------
+# --- notation ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -113,13 +113,13 @@ def test_a_name_and_a_severity(text: str, name: str, value: float) -> None:
         ("late:nan", "defect 'late' has no severity 'nan'"),
     ],
 )
-def test_what_cannot_be_read_gets_a_sentence(text: str, said: str) -> None:
+def test_an_invalid_defect_is_one_sentence(text: str, said: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError)) as raised:
         parse_defect(text)
     assert said in str(raised.value)
 
 
-def test_the_option_takes_one_or_several_and_none_twice() -> None:
+def test_the_option_takes_one_or_several_defects_but_none_twice() -> None:
     assert [d.name for d in parse_defects("late:weak")] == ["late:weak"]
     assert [d.name for d in parse_defects(["late:weak", "range:9"])] == ["late:weak", "range:9"]
     with pytest.raises(ConfigError, match="defect 'late' is given twice"):
@@ -130,7 +130,7 @@ def test_the_option_takes_one_or_several_and_none_twice() -> None:
         parse_defects({"late": 1.0})
 
 
-def test_the_catalogue_is_whole() -> None:
+def test_the_catalogue_is_consistent() -> None:
     assert len(DEFECTS) >= 12
     for kind in DEFECTS.values():
         low, high = kind.bounds
@@ -141,10 +141,10 @@ def test_the_catalogue_is_whole() -> None:
             assert isinstance(kind.fault(parse_defect(f"{kind.name}:{severity}").value), PlantedFault)
 
 
-# --- who is not seen --------------------------------------------------------------------------------------
+# --- hidden road users -------------------------------------------------------------------------------------
 
 
-def test_who_is_hidden() -> None:
+def test_hidden_road_users() -> None:
     ahead, beside, crossing, oncoming = (
         (20.0, 0.0, 0.0, 9.0),
         (0.0, 3.0, 0.0, 9.0),
@@ -163,20 +163,20 @@ def test_who_is_hidden() -> None:
     assert scene.history.ids == ("t", "a", "b", "c", "d")
 
 
-def test_the_target_stays_wherever_it_stands_in_the_scene() -> None:
+def test_the_target_is_never_hidden_whatever_its_row() -> None:
     scene = agents((90.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 10.0), (8.0, 0.0, 0.0, 10.0))
     given, _ = perceived("range:20", replace(scene, target=1, routes=((), ("e",), ())))
     assert (given.history.ids, given.target_id, given.routes) == (("a", "b"), "a", (("e",), ()))
 
 
-def test_flicker_and_dropout_miss_the_share_that_they_say_and_more_when_stronger() -> None:
+def test_flicker_and_dropout_miss_the_given_share() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0), (20.0, 0.0, 0.0, 9.0))
     times = 0.5 * np.arange(2000)
     for defect, share in (("flicker:0.3", 0.3), ("dropout:2", 1 / 3)):
         seen = [len(shown(defect, later(scene, t))) == 2 for t in times]
         assert 1.0 - np.mean(seen) == pytest.approx(
             share, abs=0.04
-        )  # 4 standard deviations of a share of 2000
+        )  # 4 standard deviations of a share among 2000
         more = "flicker:0.9" if defect.startswith("flicker") else "dropout:4"
         assert all(
             x or len(shown(more, later(scene, t))) == 1 for x, t in zip(seen[:200], times, strict=False)
@@ -185,10 +185,10 @@ def test_flicker_and_dropout_miss_the_share_that_they_say_and_more_when_stronger
     assert sum(a != b for a, b in pairwise(gone)) in (
         3,
         4,
-    )  # in one piece every 6 s of 12 s
+    )  # one interval in every 6 s, during 12 s
 
 
-# --- what is seen wrongly ---------------------------------------------------------------------------------
+# --- wrong states -----------------------------------------------------------------------------------------
 
 
 def test_late_shows_the_others_and_signals_of_a_second_ago() -> None:
@@ -205,7 +205,7 @@ def test_late_shows_the_others_and_signals_of_a_second_ago() -> None:
         assert given.signals == {"J": letter}, seconds
 
 
-def test_late_between_two_instants_and_for_who_has_just_come() -> None:
+def test_late_interpolates_and_hides_new_arrivals() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0), (30.0, 0.0, 0.0, 8.0))
     given, _ = perceived("late:0.25", scene)
     assert given.history.xy_m[1, -1] == pytest.approx([28.0, 0.0])
@@ -219,7 +219,7 @@ def test_late_between_two_instants_and_for_who_has_just_come() -> None:
 
 
 def test_constant_velocity_overlooks_the_braking_of_the_last_second() -> None:
-    """At 10 m/s until a second ago, then 4 m/s² for a second: 8 m on in place of 10, at 6 m/s in place of 10."""
+    """10 m/s until a second ago, then braking at 4 m/s²: it drove 8 m instead of 10, and has 6 m/s instead of 10."""
     scene = agents((0.0, 0.0, 0.0, 10.0), (30.0, 0.0, 0.0, 10.0))
     xy, speed = scene.history.xy_m.copy(), scene.history.speed_mps.copy()
     xy[1, 3:, 0], speed[1, 3:] = (20.0 + 4.5, 20.0 + 8.0), (8.0, 6.0)
@@ -229,7 +229,7 @@ def test_constant_velocity_overlooks_the_braking_of_the_last_second() -> None:
     assert given.history.valid.all()
 
 
-def test_states_that_are_off() -> None:
+def test_wrong_states() -> None:
     scene = agents((0.0, 0.0, 90.0, 10.0), (0.0, 30.0, 90.0, 8.0), (-3.0, 10.0, 90.0, 8.0))
     frozen, _ = perceived("frozen:0.75", scene)
     assert frozen.history.speed_mps[1, -1] == 2.0
@@ -246,7 +246,7 @@ def test_states_that_are_off() -> None:
         assert (wrong.history.xy_m[0] == scene.history.xy_m[0]).all()
 
 
-def test_localisation_displaces_everything_and_the_plan_goes_back() -> None:
+def test_localisation_displaces_the_scene_and_the_plan_back() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0), (20.0, 0.0, 0.0, 10.0))
     planted = parse_defect("localisation:2")
     fault = planted.kind.fault(planted.value)
@@ -261,7 +261,7 @@ def test_localisation_displaces_everything_and_the_plan_goes_back() -> None:
 # --- rules ------------------------------------------------------------------------------------------------
 
 
-def test_only_the_targets_own_light_turns_green_and_only_for_so_long(crossing: Maker) -> None:
+def test_signals_turns_only_the_targets_own_light_green_for_a_time(crossing: Maker) -> None:
     road: RoadMap = crossing("traffic_light")
     own = [x for x in road.lanes["south_in_0"].successors if road.lanes[x.to_lane].edge_id == "north_out"]
     assert own[0].tls_index is not None
@@ -276,7 +276,7 @@ def test_only_the_targets_own_light_turns_green_and_only_for_so_long(crossing: M
     assert over.signals == scene.signals
 
 
-def test_those_with_the_right_of_way_are_hidden_until_they_are_past(crossing: Maker) -> None:
+def test_vehicles_with_the_right_of_way_are_hidden_until_they_have_left(crossing: Maker) -> None:
     road: RoadMap = crossing("priority")
     cars = [
         Car("south_in_0", 150.0, 10.0),
@@ -294,7 +294,7 @@ def test_those_with_the_right_of_way_are_hidden_until_they_are_past(crossing: Ma
 
 
 def test_a_cut_in_is_noticed_late(crossing: Maker) -> None:
-    """A car from the left lane (1) into the right one (0): first drifting, then across, then for 1.5 s."""
+    """A car changes from the left lane (1) to the right one (0), and is in it for 1.5 s."""
     road: RoadMap = crossing()
     lanes = [
         ("west_in_1", -1.0),
@@ -316,7 +316,7 @@ def test_a_cut_in_is_noticed_late(crossing: Maker) -> None:
     assert offsets == pytest.approx([3.2, 3.2, 3.2, 3.2, 0.0], abs=1e-6)
 
 
-def test_a_cut_in_before_a_junction_is_noticed_late_beyond_it_and_nobody_on_it_is_moved(
+def test_a_cut_in_before_a_junction_is_noticed_late_beyond_it(
     crossing: Maker,
 ) -> None:
     road: RoadMap = crossing()
@@ -340,7 +340,7 @@ def test_a_cut_in_before_a_junction_is_noticed_late_beyond_it_and_nobody_on_it_i
     assert offsets == pytest.approx([0.0, 3.2, 0.0, 0.0, 3.2, 0.0], abs=1e-6)  # noticed at 0.5 + 2 s
 
 
-def test_people_on_foot_are_not_put_on_lanes(crossing: Maker) -> None:
+def test_pedestrians_are_not_moved_to_lanes(crossing: Maker) -> None:
     road: RoadMap = crossing()
     cars = [Car("west_in_0", 50.0, 10.0), Car("west_in_0", 80.0, 1.0, 1.2)]
     scene = make_scene(road, cars, ("west_in", "east_out"))
@@ -369,15 +369,15 @@ def test_planners_with_defects_keep_the_contract_and_draw_the_same_numbers(cross
     assert same_plan(*plans)
 
 
-def test_several_at_once_act_in_their_order() -> None:
+def test_several_defects_act_in_their_order() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0), (20.0, 0.0, 0.0, 10.0))
-    for order, kept in (("late:1", True), ("range:12", False)):
+    for order, is_seen in (("late:1", True), ("range:12", False)):
         first = [order, "range:12" if order == "late:1" else "late:1"]
         faults = [d.kind.fault(d.value) for d in parse_defects(first)]
         given = scene
         for fault in faults:
             given, _ = fault.perceive(None, given, None, SEED)  # type: ignore[arg-type] # no map is looked at
-        assert (given.history.agents == 2) is kept  # late shows it at 10 m, which is in range then
+        assert (given.history.agents == 2) is is_seen  # late shows it at 10 m, which is within the range
 
 
 def test_sumos_models_get_sumos_own_parameters() -> None:
@@ -401,7 +401,7 @@ def test_sumos_models_get_sumos_own_parameters() -> None:
         make_target("IDM", {"defects": ["tunnel:strong"]})
 
 
-def test_weak_brakes_are_no_stronger_than_the_target_is_without_them() -> None:
+def test_weak_brakes_are_never_stronger_than_the_targets_own() -> None:
     for options, decel, emergency in (({}, 4.5, 6.0), ({"decel": 2.0}, 2.0, 6.0)):
         planted = make_target("IDM", {**options, "defects": "weak-brakes:6"})
         assert isinstance(planted, SumoDriver)
@@ -417,7 +417,7 @@ def test_weak_brakes_are_no_stronger_than_the_target_is_without_them() -> None:
         ({"actionStepLength": "soon"}, (0.5, 1.0)),
     ],
 )
-def test_a_defect_mends_nothing_that_is_worse_without_it(
+def test_a_defect_never_improves_the_targets_own_values(
     own: dict[str, float | str], driven: tuple[float, float]
 ) -> None:
     planted = make_target("IDM", {"params": own, "defects": ["late:weak", "signals:weak"]})
@@ -425,7 +425,7 @@ def test_a_defect_mends_nothing_that_is_worse_without_it(
     assert tuple(planted.params[key] for key in ("actionStepLength", "jmDriveAfterRedTime")) == driven
 
 
-def test_priority_ignores_no_fewer_than_the_target_does_without_it() -> None:
+def test_priority_never_ignores_fewer_than_the_target_itself() -> None:
     own = {"jmIgnoreFoeProb": 0.9, "jmIgnoreJunctionFoeProb": 0.1, "jmIgnoreFoeSpeed": 5.0}
     planted = make_target("IDM", {"params": own, "defects": "priority:weak"})
     assert isinstance(planted, SumoDriver)
@@ -443,7 +443,7 @@ def test_a_headway_that_a_model_does_not_read_is_refused(name: str) -> None:
 
 
 class Distant(Counting):
-    """A planner with something outside this process behind it, which notes what it is told."""
+    """A planner with a resource outside this process; it records its calls."""
 
     def __init__(self) -> None:
         self.heard: list[object] = []

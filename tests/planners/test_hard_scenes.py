@@ -1,4 +1,4 @@
-"""Hard scenes are what they say, and the ordinary one is left alone."""
+"""Hard scenes match their names, and the ordinary scene is left unchanged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from advdiff_sumo.planners.planner_registry import make_target
 from .scenes import Car, make_scene
 
 
-def test_each_is_what_it_says(crossing: Callable[..., RoadMap]) -> None:
+def test_each_scene_matches_its_name(crossing: Callable[..., RoadMap]) -> None:
     scene = make_scene(
         crossing(), [Car("west_in_0", 80.0, 9.0), Car("east_in_0", 80.0, 8.0)], ("west_in", "east_out")
     )
@@ -34,12 +34,12 @@ def test_each_is_what_it_says(crossing: Callable[..., RoadMap]) -> None:
     assert (scene.history.xy_m.tobytes(), scene.history.speed_mps.tobytes()) == before
 
 
-def test_without_others_nobody_can_stand_in_the_way(crossing: Callable[..., RoadMap]) -> None:
+def test_without_others_no_scene_is_blocked(crossing: Callable[..., RoadMap]) -> None:
     scene = make_scene(crossing(), [Car("west_in_0", 80.0, 9.0)], ("west_in", "east_out"))
     assert "somebody stands right before it" not in hard_scenes(scene)
 
 
-def test_who_moves_the_others_meets_the_same_and_two_more(crossing: Callable[..., RoadMap]) -> None:
+def test_policies_get_two_more_scenes(crossing: Callable[..., RoadMap]) -> None:
     cars = [Car("west_in_0", 80.0, 9.0), Car("east_in_0", 80.0, 8.0), Car("south_in_0", 90.0, 7.0)]
     scene = make_scene(crossing(), cars, ("west_in", "east_out"))
     scene.movable[1:] = True
@@ -54,7 +54,7 @@ def test_who_moves_the_others_meets_the_same_and_two_more(crossing: Callable[...
     assert "120 road users are there" not in hard_scenes_of_traffic(made["nobody else is there"])
 
 
-def test_a_planner_that_learns_between_scenes_is_noticed(crossing: Callable[..., RoadMap]) -> None:
+def test_a_planner_that_keeps_state_between_scenes_is_noticed(crossing: Callable[..., RoadMap]) -> None:
     road = crossing()
     scene = make_scene(road, [Car("west_in_0", 80.0, 9.0)], ("west_in", "east_out"))
     honest = make_target("lane_graph", {})

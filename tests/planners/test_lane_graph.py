@@ -1,4 +1,4 @@
-"""The lane-graph planner in situations whose right answer is known."""
+"""The lane-graph planner in situations with a known right answer."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_signals(crossing: Maker, letter: str, stops: bool) -> None:
         assert front > line + 20.0
 
 
-def test_yellow_is_heeded_from_afar_and_passed_from_near(crossing: Maker) -> None:
+def test_it_stops_at_yellow_from_afar_and_passes_it_from_near(crossing: Maker) -> None:
     road = crossing("traffic_light")
     line = road.lanes["south_in_0"].length_m
     for distance, stops in ((60.0, True), (12.0, False)):
@@ -139,7 +139,7 @@ def test_an_all_way_stop_is_a_stop_even_when_alone(crossing: Maker) -> None:
     assert out.xy_m[0, -1, 1] > 20.0
 
 
-def test_who_keeps_far_from_the_line_has_stopped_all_the_same(crossing: Maker) -> None:
+def test_a_stop_far_before_the_line_counts_as_a_stop(crossing: Maker) -> None:
     road = crossing("allway_stop")
     far = LaneGraphPlanner(stop_gap_m=4.0)
     out = roll(road, far, make_scene(road, [Car("south_in_0", 140.0, 10.0)], ACROSS), 25.0)
@@ -158,7 +158,7 @@ def test_a_turn_is_slow_enough(crossing: Maker) -> None:
 
 @pytest.mark.parametrize("to", ["east_out", "west_out"])
 @pytest.mark.parametrize(("before_m", "speed_mps"), [(0.0, 12.0), (2.0, 14.0), (6.0, 14.0)])
-def test_who_is_too_fast_before_a_turn_brakes_in_earnest_and_stays_on_the_road(
+def test_too_fast_before_a_turn_it_brakes_hard_and_stays_on_the_road(
     crossing: Maker, before_m: float, speed_mps: float, to: str
 ) -> None:
     road = crossing("traffic_light")
@@ -182,7 +182,7 @@ def test_it_changes_to_the_lane_that_its_route_needs(crossing: Maker) -> None:
     assert out.xy_m[0, -1, 1] > 15.0
 
 
-def test_a_plan_is_what_a_bicycle_drives(crossing: Maker) -> None:
+def test_a_bicycle_model_can_drive_a_plan(crossing: Maker) -> None:
     road = crossing()
     scene = make_scene(road, [Car("south_in_0", 180.0, 6.0)], ("south_in", "east_out"))
     planner, rng = LaneGraphPlanner(), np.random.default_rng(0)
@@ -194,10 +194,8 @@ def test_a_plan_is_what_a_bicycle_drives(crossing: Maker) -> None:
 
 
 @pytest.mark.parametrize(("replan_s", "last"), [(0.0, 4), (0.5, 4), (1.0, 9), (2.0, 19), (0.1, 1), (9.0, 19)])
-def test_what_it_remembers_is_what_it_does_when_the_next_plan_is_due(
-    crossing: Maker, replan_s: float, last: int
-) -> None:
-    """On the way into a bend; *last* is the step of 0.1 s that is driven last of the plan."""
+def test_it_remembers_its_inputs_at_the_next_plan(crossing: Maker, replan_s: float, last: int) -> None:
+    """In the entry of a bend; *last* is the last step of 0.1 s that is driven of the plan."""
     road = crossing()
     scene = make_scene(road, [Car("south_in_0", 180.0, 6.0)], ("south_in", "east_out"))
     scene = replace(scene, replan_s=replan_s)

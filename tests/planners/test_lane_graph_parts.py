@@ -132,7 +132,7 @@ def test_crossing_ways_meet_and_parallel_ones_do_not(crossing: Maker) -> None:
 @pytest.mark.parametrize(
     "route", [("south_in", "north_out"), ("south_in", "east_out"), ("south_in", "west_out")]
 )
-def test_projection_undoes_placing(crossing: Maker, route: tuple[str, ...]) -> None:
+def test_projection_inverts_at(crossing: Maker, route: tuple[str, ...]) -> None:
     path = path_of(crossing(), "south_in_0", route)
     s, d = np.meshgrid(np.linspace(-5.0, path.length_m + 5.0, 60), [-1.0, 0.0, 1.0])
     got_s, got_d = path.project(path.at(s, d)[0])
@@ -140,7 +140,7 @@ def test_projection_undoes_placing(crossing: Maker, route: tuple[str, ...]) -> N
     np.testing.assert_allclose(got_d, d, atol=0.1)
 
 
-def test_a_stack_gives_what_its_paths_give(crossing: Maker) -> None:
+def test_a_path_stack_equals_its_single_paths(crossing: Maker) -> None:
     road = crossing()
     paths = [path_of(road, "south_in_0", ("south_in", goal)) for goal in ("north_out", "east_out")]
     stack, s = PathStack(paths), np.array([[10.0, 199.3], [3.7, 205.0]])
@@ -171,7 +171,7 @@ def test_a_blend_starts_where_the_target_is_and_ends_on_its_aim(crossing: Maker)
     )
 
 
-def test_a_corner_that_no_car_can_follow_is_swung_out_for_and_cut() -> None:
+def test_before_a_corner_too_tight_for_a_car_the_line_swings_out() -> None:
     raw = Polyline.of(np.array([[0.0, 0.0], [40.0, 0.0], [40.0, -40.0]]))
     xy, yaw, curvature = _smoothed(raw, 81)
     assert np.abs(curvature).max() <= 0.17
@@ -183,7 +183,7 @@ def test_a_corner_that_no_car_can_follow_is_swung_out_for_and_cut() -> None:
     np.testing.assert_allclose(xy[:5, 1], 0.0, atol=1e-9)  # far from the corner nothing moves
 
 
-def test_who_swung_wide_comes_back_to_the_path_chosen_last(crossing: Maker) -> None:
+def test_a_target_that_swung_wide_returns_to_its_previous_path(crossing: Maker) -> None:
     road = crossing()
     route = ("south_in", "east_out")
     chain = route_chain(road, "south_in_0", route, required_changes(road, route), 300.0)
@@ -196,11 +196,13 @@ def test_who_swung_wide_comes_back_to_the_path_chosen_last(crossing: Maker) -> N
     assert road.lanes[place.lane_id].edge_id == "east_out"
     fresh = locate(memory.geometry, state, route, LaneGraphMemory(memory.geometry), 0.0)
     assert fresh is not None
-    assert road.lanes[fresh.lane_id].edge_id != "east_out"  # by the lanes alone it would go elsewhere
+    assert (
+        road.lanes[fresh.lane_id].edge_id != "east_out"
+    )  # from the lane at its pose it would drive elsewhere
 
 
 @pytest.mark.parametrize("lefthand", [False, True])
-def test_a_change_of_lanes_that_is_underway_goes_on_over_a_junction(crossing: Maker, lefthand: bool) -> None:
+def test_a_lane_change_underway_continues_over_a_junction(crossing: Maker, lefthand: bool) -> None:
     road, route = crossing(lefthand=lefthand), ("west_in", "east_out")
     geometry, options = Geometry.of(road), LaneGraphOptions()
     by_lane = {x.from_lane: x for x in road.links.values() if x.to_lane.startswith("east_out")}
@@ -219,11 +221,11 @@ def test_a_change_of_lanes_that_is_underway_goes_on_over_a_junction(crossing: Ma
         assert {choice.side for choice in choices} == sides
     change = next(choice for choice in choices if choice.side)
     assert onto in change.chain.lanes
-    assert abs(change.d_m) == pytest.approx(3.2, abs=0.05)  # a lane's width, all of it still to go
+    assert abs(change.d_m) == pytest.approx(3.2, abs=0.05)  # a lane's width: the change has just begun
 
 
-def test_when_a_place_ahead_is_reached_is_told_between_the_steps_of_a_quarter_of_a_second() -> None:
-    """At 10 m/s, braking from 8 m/s at 8 m/s², and standing, each of them at 100 m now; then 1 s is over."""
+def test_arrival_times_are_interpolated_between_steps() -> None:
+    """Constant 10 m/s, braking from 8 m/s at 8 m/s², and standing, each from 100 m on for 1 s."""
     now, speed = np.full(3, 100.0), np.array([[10.0] * 4, [6.0, 4.0, 2.0, 0.0], [0.0] * 4])
     s = 100.0 + np.array([[2.5, 5.0, 7.5, 10.0], [1.75, 3.0, 3.75, 4.0], [0.0] * 4])
     goals = np.array([[99.0, 100.0, 101.0, 102.5, 104.9, 110.0, 112.0]])
@@ -240,12 +242,13 @@ def test_when_a_place_ahead_is_reached_is_told_between_the_steps_of_a_quarter_of
 
 
 @pytest.mark.parametrize(("braking_mps2", "after_mps"), [(2.0, 11.94), (4.0, 7.80), (6.0, 3.75)])
-def test_who_brakes_hard_is_expected_to_go_on_with_it(
+def test_hard_braking_is_predicted_to_last_longer(
     crossing: Maker, braking_mps2: float, after_mps: float
 ) -> None:
-    """Two seconds on from 13.89 m/s, in eight steps.
+    """Two seconds from 13.89 m/s on, in eight steps.
 
-    Braking of up to 3 m/s² fades within 1 s (0.977 s of it are left), of 4 within 3 s (1.521), of 6 within 5 s (1.690).
+    Braking of up to 3 m/s² fades with a time constant of 1 s (0.977 s of it are left), of 4 with 3 s (1.521), of 6 with
+    5 s (1.690).
     """
     road = crossing()
     scene = make_scene(
@@ -253,7 +256,7 @@ def test_who_brakes_hard_is_expected_to_go_on_with_it(
     )
     scene.history.speed_mps[1, :-1] += 0.5 * braking_mps2
     others = others_near(scene)
-    ways = [one for one in ways_of(Geometry.of(road), scene, others) if one.weight > 0.0]
+    ways = [way for way in ways_of(Geometry.of(road), scene, others) if way.weight > 0.0]
     ego = Ego(scene.history.xy_m[0, -1], 10.0, CAR_M[0], ())
     future = forecast(road, scene, others, ways, ego, 8)
     np.testing.assert_allclose(future.speed_mps[:, -1], after_mps, atol=0.01)

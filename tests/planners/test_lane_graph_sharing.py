@@ -1,4 +1,4 @@
-"""What the lane-graph planner works out once is what it would work out each time."""
+"""Cached and shared results of the lane-graph planner equal those computed each time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CARS = [Car("west_in_0", 150.0, 9.0), Car("west_in_0", 120.0, 11.0), Car("west_i
 CARS += [Car("west_in_0", 185.0, 4.0), Car("south_in_0", 180.0, 5.0)]
 
 
-def test_changes_of_lanes_are_kept_by_their_edges(crossing: Maker) -> None:
+def test_lane_changes_are_cached_by_edges(crossing: Maker) -> None:
     road = crossing()
     geometry = Geometry.of(road)
     for route in (ROUTE, ("west_in", "north_out"), ROUTE):
@@ -36,7 +36,7 @@ def test_changes_of_lanes_are_kept_by_their_edges(crossing: Maker) -> None:
         assert kept == plausible_chains(road, "west_in_0", route, 250.0)
 
 
-def test_headings_alone_are_those_of_points(crossing: Maker) -> None:
+def test_yaw_at_equals_the_headings_of_at(crossing: Maker) -> None:
     road = crossing()
     geometry = Geometry.of(road)
     chain = plausible_chains(road, "west_in_0", ("west_in", "south_out"), 300.0)[0]
@@ -58,7 +58,7 @@ def test_the_nearest_leader_is_found_for_all_steps_at_once() -> None:
 
 
 @pytest.mark.parametrize("kind", ["priority", "allway_stop"])
-def test_shifts_within_the_lane_share_what_does_not_depend_on_them(crossing: Maker, kind: str) -> None:
+def test_shifts_within_the_lane_share_duties_and_followers(crossing: Maker, kind: str) -> None:
     road = crossing(kind)
     scene, options = make_scene(road, CARS, ROUTE), LaneGraphOptions()
     memory = LaneGraphMemory(Geometry.of(road))
@@ -72,7 +72,7 @@ def test_shifts_within_the_lane_share_what_does_not_depend_on_them(crossing: Mak
     assert len(sides) == 4
     each = [
         duties(memory.geometry, scene, state, side, others, ways, memory, options) for side in sides
-    ]  # the planner asks for those of the first one and of another lane
+    ]  # the planner computes only those of the first one and of other lanes
     assert each[1] == each[0] == each[2]
     future = forecast(road, scene, others, ways, Ego(at, 9.0, 4.6, ()), 20)
     behind, unsafe = followers(sides, modes(sides, each, options), state, others, future)
@@ -84,7 +84,7 @@ def test_shifts_within_the_lane_share_what_does_not_depend_on_them(crossing: Mak
         assert unsafe[rows][0] == cost[0]
 
 
-def test_a_plan_does_not_depend_on_what_was_planned_before_on_the_map(crossing: Maker) -> None:
+def test_a_plan_does_not_depend_on_the_cache(crossing: Maker) -> None:
     road = crossing()
     planner, rng = LaneGraphPlanner(), np.random.default_rng(0)
     scene = make_scene(road, CARS, ROUTE)

@@ -1,4 +1,4 @@
-"""Targets on the trained models: what they choose, that they keep to road and route, and that they drive in SUMO."""
+"""Targets on trained models: what they choose, that they keep to road and route, and that they drive in SUMO."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def downtown(networks: Path) -> tuple[RoadMap, SeedScene]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_drives_ten_seconds_of_traffic_and_again(
+def test_it_drives_ten_seconds_of_traffic_repeatably(
     target: Maker, downtown: tuple[RoadMap, SeedScene], name: str
 ) -> None:
     road, scene = downtown
@@ -105,7 +105,7 @@ def test_it_keeps_the_contract(
 def test_it_turns_where_the_route_turns(
     target: Maker, crossing: Callable[..., RoadMap], route: tuple[str, str]
 ) -> None:
-    """The model knows no route: alone it would go the same way for all three."""
+    """The model knows no route: by itself it would drive the same way for all three."""
     road = crossing()
     lane = "west_in_1" if route[1] == "north_out" else "west_in_0"
     scene = make_scene(road, [Car(lane, 165.0, 7.0)], route)
@@ -113,9 +113,7 @@ def test_it_turns_where_the_route_turns(
     pose = road.locate(driven.xy_m[0, -1], float(driven.yaw_rad[0, -1]))
     assert pose is not None
     edges = {road.lanes[pose.lane_id].edge_id}
-    assert route[1] in edges or float(driven.speed_mps[0].min()) < 1.0, (
-        edges
-    )  # there, or has stopped on the way
+    assert route[1] in edges or float(driven.speed_mps[0].min()) < 1.0, edges  # it arrived, or stopped before
     boxes = corners(driven.xy_m[0], driven.yaw_rad[0], np.broadcast_to(np.array(CAR_M), (driven.steps, 2)))
     assert float(road.off_road_share(boxes).max()) < 0.1
 
@@ -130,7 +128,9 @@ def test_it_stops_at_a_red_light(target: Maker, crossing: Callable[..., RoadMap]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_does_not_run_into_who_stands(target: Maker, crossing: Callable[..., RoadMap], name: str) -> None:
+def test_it_does_not_run_into_a_standing_car(
+    target: Maker, crossing: Callable[..., RoadMap], name: str
+) -> None:
     road = crossing()
     scene = make_scene(
         road, [Car("south_in_0", 100.0, 10.0), Car("south_in_0", 140.0)], ("south_in", "north_out")
@@ -154,7 +154,7 @@ def first_plan(planner: Planner, road: RoadMap, scene: Scene, seed: int) -> Traj
     return plan
 
 
-def test_the_mean_of_the_prior_needs_no_chance_and_draws_do(
+def test_the_mean_of_the_prior_is_deterministic_and_samples_are_not(
     target: Maker, crossing: Callable[..., RoadMap]
 ) -> None:
     road = crossing()
@@ -172,8 +172,8 @@ def test_the_mean_of_the_prior_needs_no_chance_and_draws_do(
     )
 
 
-def test_risk_is_the_share_of_samples_that_are_hit_and_fades() -> None:
-    """One candidate stands still; in the first of two samples somebody stands in it from the second instant on."""
+def test_risk_is_the_share_of_samples_with_a_collision_and_fades() -> None:
+    """One candidate stands still; in the first of two samples a vehicle overlaps it at the last instant."""
     still = np.zeros((1, 3, 2)), np.zeros((1, 3)), np.zeros((1, 3))
     made = candidates(*still, None, (np.zeros(2), 0.0, 0.0), 0.5, route=False, brakes=False)
     xy = np.full((2, 1, 3, 2), 50.0)
@@ -185,14 +185,14 @@ def test_risk_is_the_share_of_samples_that_are_hit_and_fades() -> None:
     assert risk(made, behind, size, 0.5) == pytest.approx([0.0])
 
 
-def test_who_follows_in_the_lane_is_told_from_the_rest() -> None:
+def test_followers_are_behind_in_the_same_lane() -> None:
     own = np.zeros(2), 0.0, 4.0
     xy = np.array([[-10.0, 0.5], [-10.0, 3.0], [10.0, 0.0], [-10.0, 0.0]])
     yaw = np.array([0.1, 0.0, 0.0, np.pi])
     assert followers(xy, yaw, own).tolist() == [True, False, False, False]
 
 
-def test_braking_is_among_the_candidates_and_straight_without_a_guide() -> None:
+def test_braking_is_a_candidate_and_straight_without_a_guide() -> None:
     ahead = np.cumsum(np.full((1, 4), 5.0), axis=1)
     xy = np.stack((ahead, np.zeros_like(ahead)), axis=-1)
     made = candidates(

@@ -1,4 +1,4 @@
-"""Planted defects of brakes and plans: what each makes of a plan, worked by hand."""
+"""Planted defects of brakes and plans: what each does to a plan, computed by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from advdiff_sumo.planners.planner_check import same_plan
 from .test_defects import Counting, agents, later, stop
 
 
-def test_weak_brakes_bound_the_deceleration_and_drive_on_along_the_way() -> None:
+def test_weak_brakes_bound_the_deceleration_along_the_path() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0))
     plan, _ = WeakBrakes(2.5).act(stop(8.0), scene, None)
     assert isinstance(plan, Trajectory)
@@ -29,8 +29,8 @@ def test_weak_brakes_bound_the_deceleration_and_drive_on_along_the_way() -> None
     assert controls.accel_mps2.tolist() == [1.0, -2.5]
 
 
-def test_slow_brakes_build_up_and_go_on_from_where_they_were() -> None:
-    """To 9 m/s² in 4.5 s is 2 m/s³: after half a second 1 m/s², and the next plan goes on from there."""
+def test_slow_brakes_build_up_and_continue_in_the_next_plan() -> None:
+    """9 m/s² in 4.5 s is 2 m/s³: after half a second 1 m/s², from which the next plan continues."""
     scene = agents((0.0, 0.0, 0.0, 10.0))
     controls = Controls(np.full(10, -8.0), np.zeros(10), 0.1)
     first, memory = SlowBrakes(4.5).act(controls, scene, None)
@@ -43,7 +43,7 @@ def test_slow_brakes_build_up_and_go_on_from_where_they_were() -> None:
 
 @pytest.mark.parametrize("dt_s", [0.25, 0.5, 1.0, 2.0])
 def test_slow_brakes_build_up_whatever_the_interval(dt_s: float) -> None:
-    """2 m/s³ again, a plan every half second: the fifth one begins 2 s on, when 4 m/s² are reached."""
+    """2 m/s³ again, and a plan every half second: the fifth begins after 2 s, at 4 m/s²."""
     scene, memory = agents((0.0, 0.0, 0.0, 20.0)), None
     for number in range(5):
         wish = Controls(np.full(4, -8.0), np.zeros(4), dt_s)
@@ -52,7 +52,7 @@ def test_slow_brakes_build_up_whatever_the_interval(dt_s: float) -> None:
     assert plan.accel_mps2[0] == pytest.approx(-(4.0 + 2.0 * dt_s), abs=1e-6)
 
 
-def test_stuck_drives_the_old_plan_on_and_then_straight_on() -> None:
+def test_stuck_continues_the_old_plan_and_then_straight_on() -> None:
     scene = agents((0.0, 0.0, 0.0, 10.0))
     planner = DefectivePlanner(Counting(), (StuckReplanning(3.0),))  # type: ignore[arg-type] # no map is needed
     rng = np.random.default_rng(0)
@@ -70,8 +70,8 @@ def test_stuck_drives_the_old_plan_on_and_then_straight_on() -> None:
     assert memory.planner == 2
 
 
-def test_faults_before_a_stuck_one_act_on_the_plan_that_it_drives_on() -> None:
-    """It had undone them: brakes that are worn were whole again while the old plan was driven."""
+def test_faults_before_stuck_act_on_the_continued_plan() -> None:
+    """In an earlier version the continued plan was without the faults before it, such as weak brakes."""
     scene = agents((0.0, 0.0, 0.0, 10.0))
     planner = DefectivePlanner(Counting(), (LocalisationOffset(2.0), StuckReplanning(3.0)))  # type: ignore[arg-type] # no map is needed
     rng = np.random.default_rng(0)

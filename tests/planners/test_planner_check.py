@@ -1,4 +1,4 @@
-"""The contract checker finds what it is for, and the built-in planner passes it."""
+"""The contract checker finds each breach, and the built-in planner passes it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUTE = ("west_in", "east_out")
 
 
 class Broken:
-    """Returns what it is told to; keeps straight on otherwise."""
+    """Returns what the given function makes."""
 
     def __init__(self, make: Callable[[Scene, int, np.random.Generator], Any]) -> None:
         self.make, self.calls = make, 0
@@ -74,7 +74,7 @@ def test_a_planner_that_keeps_the_contract(crossing: Callable[..., RoadMap], sce
     assert check_planner(Broken(lambda s, _n, _r: (straight(s), None)), crossing(), scene) == []
 
 
-def test_so_does_one_that_writes_into_its_scene(crossing: Callable[..., RoadMap], scene: Scene) -> None:
+def test_a_planner_may_write_into_its_scene(crossing: Callable[..., RoadMap], scene: Scene) -> None:
     before = scene.history.speed_mps.tobytes()
     assert check_planner(Broken(lambda s, _n, _r: (spoil(s), None)), crossing(), scene) == []
     assert scene.history.speed_mps.tobytes() == before
@@ -135,7 +135,7 @@ def test_a_plan_may_bend(scene: Scene) -> None:
 
 
 class WritesIntoMap(Broken):
-    """Takes a lane into its own frame, in place."""
+    """Transforms a lane into its own frame, in place."""
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
         points = road.lanes["west_in_0"].centre_xy_m
@@ -143,9 +143,7 @@ class WritesIntoMap(Broken):
         return super().plan(road, scene, memory, rng)
 
 
-def test_who_writes_into_the_map_that_all_share_is_told(
-    crossing: Callable[..., RoadMap], scene: Scene
-) -> None:
+def test_writing_into_the_shared_map_is_reported(crossing: Callable[..., RoadMap], scene: Scene) -> None:
     road = crossing()
     before = road.lanes["west_in_0"].centre_xy_m.tobytes()
     told = check_planner(WritesIntoMap(lambda s, _n, _r: (straight(s), None)), road, scene)

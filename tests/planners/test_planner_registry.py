@@ -17,7 +17,7 @@ from advdiff_sumo.planners.sumo_models import CAR_FOLLOWING, PARAMS, SumoDriverO
 
 
 class Idle:
-    """A planner of a user's own, which stays where it is."""
+    """A user's planner, which does nothing."""
 
     def __init__(self, patience_s: float = 1.0) -> None:
         self.patience_s = patience_s

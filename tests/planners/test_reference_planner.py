@@ -51,11 +51,11 @@ def test_on_a_free_road_they_drive_as_the_lane_graph_planner_does(
 ) -> None:
     road = crossing()
     scene = make_scene(road, [Car("west_in_0", 40.0, 10.0)], ROUTE)
-    theirs, normal = planned(name, road, scene), planned("lane_graph", road, scene)
-    np.testing.assert_array_equal(theirs.xy_m, normal.xy_m)
+    reference, normal = planned(name, road, scene), planned("lane_graph", road, scene)
+    np.testing.assert_array_equal(reference.xy_m, normal.xy_m)
 
 
-def test_the_human_driver_lets_go_of_the_pedal_and_then_brakes(crossing: Callable[..., RoadMap]) -> None:
+def test_the_human_driver_brakes_after_its_delay(crossing: Callable[..., RoadMap]) -> None:
     road = crossing()
     # 9.4 m bumper to bumper at 10 m/s: 0.94 s; the delay of 0.75 s takes eight steps of the plan
     scene = make_scene(road, [Car("west_in_0", 40.0, 10.0), Car("west_in_0", 54.0, 0.0)], ROUTE)
@@ -70,7 +70,7 @@ def test_the_human_driver_lets_go_of_the_pedal_and_then_brakes(crossing: Callabl
 
 def test_rss_brakes_where_its_gap_is_too_short(crossing: Callable[..., RoadMap]) -> None:
     road = crossing()
-    # 12 m/s behind 10 m/s: 9 + 0.84 + 14.25²/12 − 100/12 = 18.4 m are needed, 13.4 m are there
+    # 12 m/s behind 10 m/s: 9 + 0.84 + 14.25²/12 − 100/12 = 18.4 m are needed, the gap is 13.4 m
     scene = make_scene(road, [Car("west_in_0", 40.0, 12.0), Car("west_in_0", 58.0, 10.0)], ROUTE)
     rss, careful = planned("rss", road, scene), planned("careful", road, scene)
     assert rss.speed_mps[-1] < careful.speed_mps[-1] - 2.0

@@ -1,4 +1,4 @@
-"""A tiny net, planners that fail in every way, and what a sweep of them looks like when nothing is wrong."""
+"""A tiny net, planners with every fault, and the results of a sweep when nothing fails."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from advdiff_sumo.core.plan import Controls
 
 
 class Coasts:
-    """Keeps its speed; has a fault as long as a file of that name lies beside it."""
+    """Keeps its speed; has its fault as long as the file "ill" exists."""
 
     def __init__(self, fault="none", beside="."):
         self.fault, self.flag = fault, Path(beside) / "ill"
@@ -67,7 +67,7 @@ class Coasts:
     def segfaults(self, memory):
         import libsumo
 
-        print("requests.Timeout (5 s)", flush=True)  # not what Python says where a time limit is over
+        print("requests.Timeout (5 s)", flush=True)  # not what Python prints at a time limit
         libsumo.vehicle.add("ghost", libsumo.route.getIDList()[0], depart="100000")
         libsumo.vehicle.moveToXY("ghost", "", -1, -5000.0, -5000.0, 0.0, 2)
         libsumo.simulationStep()
@@ -129,7 +129,7 @@ def serially(plan: SweepPlan, folder: Path) -> Store:
 
 
 def bytes_of(store: Store) -> dict[str, object]:
-    """Return the tables that do not depend on the machine; of failures all but attempts and the folder's name."""
+    """Return the tables that do not depend on the machine; failures without attempts and command."""
     failures = read_rows(store.path, "failures")
     told = [{k: v for k, v in row.items() if k not in {"attempts", "command"}} for row in failures]
     return {"failures": told, **{name: (store.path / name).read_bytes() for name in SAME_BYTES}}
@@ -137,7 +137,7 @@ def bytes_of(store: Store) -> dict[str, object]:
 
 @pytest.fixture
 def limits(tmp_path: Path) -> WorkerLimits:
-    """What a worker may take."""
+    """Limits of a worker."""
     logs = tmp_path / "logs"
     logs.mkdir()
     return WorkerLimits(timeout_s=600.0, memory_mb=2000, tasks=100, recycle_share=0.9, logs=logs)

@@ -1,4 +1,4 @@
-"""The figures of tools/bench_sweep.py, on memory that is known."""
+"""The figures of tools/bench_sweep.py, on known memory values."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def rows(worker: int, rss_mb: list[float]) -> list[dict[str, float]]:
     return [{"worker": worker, "episode": k, "rss_mb": mb, "peak_mb": mb} for k, mb in enumerate(rss_mb)]
 
 
-def test_growth_is_that_after_the_first_episodes(bench: ModuleType) -> None:
-    """The first worker fills up over 50 episodes and stays; the second goes on by 0.1 MB an episode."""
+def test_growth_is_measured_after_the_first_episodes(bench: ModuleType) -> None:
+    """The first worker grows for 50 episodes and then stays; the second grows by 0.1 MB an episode."""
     steady = [200.0 + 4.0 * min(k, 50) for k in range(150)]
     leaking = [400.0 + 0.1 * k for k in range(150)]
     first, second = bench.workers_of(rows(7, steady) + rows(9, leaking))
@@ -38,7 +38,7 @@ def test_growth_is_that_after_the_first_episodes(bench: ModuleType) -> None:
     assert "peak: not within 1200" in bench.missed(bench.workers_of(rows(1, [1300.0])), 2.0)
 
 
-def test_few_episodes_tell_no_growth(bench: ModuleType) -> None:
+def test_growth_is_unknown_after_few_episodes(bench: ModuleType) -> None:
     (worker,) = bench.workers_of(rows(3, [100.0 + k for k in range(60)]))
     assert worker.growth_mb is None
     assert bench.missed([worker], 2.0) == []

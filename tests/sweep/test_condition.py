@@ -59,7 +59,7 @@ def test_anything_else_is_refused(text: str, word: str) -> None:
     assert word in str(caught.value)
 
 
-def test_what_is_undefined_is_not_false() -> None:
+def test_an_undefined_figure_is_not_false() -> None:
     with pytest.raises(Undefined, match="median_min_ttc_s"):
         Condition("median_min_ttc_s < 1", NAMES).holds(FIGURES)
     with pytest.raises(ConfigError, match="divides by zero"):
@@ -67,7 +67,7 @@ def test_what_is_undefined_is_not_false() -> None:
 
 
 @pytest.mark.parametrize("text", ["episodes / 0 > 1", "1 / (2 - 2) > 0", "episodes > 1 or 1 / -0.0 > 0"])
-def test_what_divides_by_zero_whatever_comes_is_refused_before_the_first_episode(text: str) -> None:
+def test_a_certain_division_by_zero_is_refused_before_the_first_episode(text: str) -> None:
     with pytest.raises(ConfigError, match="divides by zero; write it like"):
         Condition(text, NAMES)
 
@@ -80,14 +80,14 @@ def test_a_quotient_of_a_figure_that_is_zero_is_undefined() -> None:
     assert condition.holds({**FIGURES, "episodes": 40.01})  # 0.1 / 0.01 = 10
 
 
-def test_a_condition_tells_its_figures_also_those_without_a_value() -> None:
+def test_a_condition_names_its_figures_also_undefined_ones() -> None:
     text = "episodes > 1 or median_min_ttc_s < 1"
     assert Condition(text, NAMES).told(FIGURES) == "episodes = 40, median_min_ttc_s is undefined"
     assert Condition("1 > 0", NAMES).told(FIGURES) == ""
 
 
 @given(st.text(max_size=60))
-def test_no_text_does_anything_but_be_refused_or_hold(text: str) -> None:
+def test_any_text_is_refused_or_evaluated(text: str) -> None:
     try:
         condition = Condition(text, NAMES)
     except ConfigError:

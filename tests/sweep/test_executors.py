@@ -1,4 +1,4 @@
-"""Results do not depend on who runs the episodes, how many at a time, or in which order."""
+"""Results do not depend on the executor, on the number of workers, or on the order."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def one_by_one(plan: SweepPlan, tmp_path_factory: pytest.TempPathFactory) -> Sto
     return serially(plan, tmp_path_factory.mktemp("serial") / "s")
 
 
-def test_two_workers_that_are_replaced_and_another_order(
+def test_two_replaced_workers_in_reverse_order_give_the_same_bytes(
     plan: SweepPlan, one_by_one: Store, limits: WorkerLimits, tmp_path: Path
 ) -> None:
     store = open_store(tmp_path / "s", plan, 2, resume=False)
@@ -49,15 +49,15 @@ def test_two_workers_that_are_replaced_and_another_order(
     assert run_sweep(plan, store, backwards, ProcessExecutor(2, often), 0, lambda *_: None) == 0
     assert bytes_of(store) == bytes_of(one_by_one)
     settings = (one_by_one.path / "sweep.toml").read_bytes()
-    (store.path / "sweep.toml").write_bytes(settings)  # a commit may have come in between
+    (store.path / "sweep.toml").write_bytes(settings)  # the version may have changed in between
     pages = [report_html(FinishedRun.read(folder.path)) for folder in (store, one_by_one)]
     assert pages[0] == pages[1]  # both folders have the same name
 
 
-def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
+def test_a_worker_with_much_memory_is_replaced_before_its_next_task(
     plan: SweepPlan, one_by_one: Store, limits: WorkerLimits, tmp_path: Path
 ) -> None:
-    greedy = replace(limits, recycle_share=0.001)  # any worker that has done a task
+    greedy = replace(limits, recycle_share=0.001)  # reached by any worker that has performed a task
     store = open_store(tmp_path / "s", plan, 1, resume=False)
     todo = RemainingJobs.of(plan, store, limit=3)
     run_sweep(plan, store, todo, ProcessExecutor(1, greedy), 0, lambda *_: None)
@@ -71,10 +71,10 @@ def test_a_worker_that_holds_much_is_replaced_before_its_next_task(
         assert part.tables["states"].equals(again.tables["states"])
 
 
-def test_seed_scenes_of_a_warm_up_that_are_too_few_are_made_again(
+def test_too_few_stored_seed_scenes_are_made_again(
     plan: SweepPlan, one_by_one: Store, tmp_path: Path
 ) -> None:
-    """A folder may hold those of a sweep with fewer episodes."""
+    """The folder may be of a sweep with fewer episodes."""
     store = open_store(tmp_path / "s", plan, 1, resume=False)
     first = plan.batches[plan.jobs[0].batch]
     net = file_digest(*net_files(first.options.net))
@@ -98,9 +98,7 @@ def test_an_episode_is_repeated_exactly(plan: SweepPlan, one_by_one: Store) -> N
     assert repeat(before).same is True
 
 
-def test_what_a_search_has_added_is_not_held_against_a_repetition(
-    plan: SweepPlan, one_by_one: Store, tmp_path: Path
-) -> None:
+def test_a_repetition_ignores_columns_of_a_search(plan: SweepPlan, one_by_one: Store, tmp_path: Path) -> None:
     store = Store(shutil.copytree(one_by_one.path, tmp_path / "s"))
     job = plan.jobs[0]
     part = store.read(job.key)
@@ -128,9 +126,7 @@ def test_tables_follow_an_episode_that_was_run_again(
     assert [row["key"] for row in read_rows(store.path, "failures")] == [plan.jobs[1].key]
 
 
-def test_workers_that_know_plans_from_before_change_nothing(
-    place: Path, limits: WorkerLimits, tmp_path: Path
-) -> None:
+def test_cached_plans_change_no_result(place: Path, limits: WorkerLimits, tmp_path: Path) -> None:
     late = {"name": "lane_graph", "options": {"defects": ["late:strong"]}}
     grid = {
         "nets": [str(place / "small.net.xml")],
@@ -150,7 +146,7 @@ from advdiff_sumo.core.scene import Tracks
 
 
 class Counts:
-    """Moves nobody, and keeps what no policy should: how often it was asked."""
+    """Moves nobody, and keeps state, which no policy should: the number of its calls."""
 
     def __init__(self):
         self.asked = 0
@@ -166,7 +162,7 @@ class Counts:
 '''
 
 
-def test_somebody_elses_policy_is_asked_for_every_plan(place: Path, tmp_path: Path) -> None:
+def test_plans_of_a_users_policy_are_not_cached(place: Path, tmp_path: Path) -> None:
     (place / "counting_policies.py").write_text(COUNTS)
     grid = {
         "nets": [str(place / "small.net.xml")],
@@ -176,5 +172,5 @@ def test_somebody_elses_policy_is_asked_for_every_plan(place: Path, tmp_path: Pa
     store = open_store(tmp_path / "s", plan := planned(place, grid=grid), 1, resume=False)
     run_sweep(plan, store, RemainingJobs.of(plan, store), SerialExecutor(), 0, lambda *_: None)
     failures = read_rows(store.path, "failures")
-    assert len(failures) == 3  # six plans each, and eight before it gives up
+    assert len(failures) == 3  # six plans each; it fails after eight
     assert all("asked again" in row["message"] for row in failures)

@@ -1,4 +1,4 @@
-"""Workers that are killed, crash, hang, raise, exit and eat memory: everything else comes out as if nothing was."""
+"""Workers are killed, crash, hang, raise, exit and use up memory: all other results are as if nothing had failed."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def plan(place: Path) -> SweepPlan:
 
 @pytest.fixture(scope="module")
 def undisturbed(plan: SweepPlan, tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """The sweep when all planners are well; the one that plans NaN always does."""
+    """The sweep without faults, except that one planner always plans NaN."""
     return serially(plan, tmp_path_factory.mktemp("undisturbed") / "s")
 
 
 @pytest.fixture
 def ill(place: Path) -> Iterator[Path]:
-    """While this file is there the planners have their faults."""
+    """While this file exists, the planners have their faults."""
     flag = place / "ill"
     flag.touch()
     yield flag
@@ -59,7 +59,7 @@ def ill(place: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def tight(undisturbed: Store, tmp_path: Path) -> WorkerLimits:
-    """Limits that a healthy episode keeps on this machine, however busy, and an ill one does not."""
+    """Limits that a healthy episode keeps on this machine, however busy, and a faulty one does not."""
     logs = tmp_path / "logs"
     logs.mkdir()
     slowest = max(row["wall_s"] for row in read_rows(undisturbed.path, "timing"))
@@ -76,7 +76,7 @@ def test_every_fault_costs_its_own_episode_only(
 ) -> None:
     store = open_store(tmp_path / "s", plan, 2, resume=False)
     executor = ProcessExecutor(2, tight)
-    rng = random.Random(1)  # noqa: S311 - which worker dies, not a secret
+    rng = random.Random(1)  # noqa: S311 - it chooses the worker to kill, no secret
     kills = []
 
     def kill_someone(*_: object) -> None:
@@ -135,7 +135,7 @@ def test_only_what_is_missing_or_damaged_is_run(
     assert bytes_of(store) == bytes_of(undisturbed)
 
 
-def test_damaged_tables_are_put_together_again(plan: SweepPlan, undisturbed: Store) -> None:
+def test_damaged_tables_are_written_again(plan: SweepPlan, undisturbed: Store) -> None:
     before = bytes_of(undisturbed)
     path = undisturbed.path / "episodes.parquet"
     path.write_bytes(path.read_bytes()[:-30])
@@ -143,7 +143,7 @@ def test_damaged_tables_are_put_together_again(plan: SweepPlan, undisturbed: Sto
     assert bytes_of(undisturbed) == before
     stamp = path.stat().st_mtime_ns
     assert tables_of(undisturbed, plan) == 0
-    assert path.stat().st_mtime_ns == stamp  # whole: left alone
+    assert path.stat().st_mtime_ns == stamp  # intact: not written again
 
 
 @pytest.fixture
@@ -186,14 +186,14 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
         f"{store.path}: the disk is full with {len(plan.jobs) - done} episodes left to do; all that had finished is "
         "stored; free some space and go on with --resume"
     )
-    assert done >= 4  # two before, the one that did not fit at first, the one that was running
+    assert done >= 4  # two before, the one that did not fit at first, and the running one
     filler.unlink()
     again = open_store(store.path, plan, 2, resume=True)
     assert run(plan, again, ProcessExecutor(2, limits)) == 0
     assert bytes_of(again) == bytes_of(undisturbed)
 
 
-def test_what_the_workers_took_is_told(undisturbed: Store) -> None:
+def test_the_workers_memory_is_recorded(undisturbed: Store) -> None:
     timing = pq.read_table(undisturbed.path / "timing.parquet").to_pylist()
     assert {row["worker"] for row in timing} == {os.getpid()}
     assert all(50.0 < row["rss_mb"] <= row["peak_mb"] < 4000.0 for row in timing)

@@ -1,4 +1,4 @@
-"""Keys of seed scenes tell the logs that they are made of apart."""
+"""Keys of seed scenes differ between the logs that they are made from."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def digest_of(root: Path) -> str:
 
 @pytest.mark.parametrize("name", ["a.xml", "town/scenario_a.parquet", "states.parquet", "sd_a.pkl"])
 def test_logs_of_every_kind_count(tmp_path: Path, name: str) -> None:
-    """Of Argoverse 2 and CommonRoad nothing had: two folders of them had one key."""
+    """In an earlier version, Argoverse 2 and CommonRoad did not count: two folders had the same key."""
     digests = set()
     for folder, content in (("one", "<commonRoad/>"), ("other", "<commonRoad> </commonRoad>")):
         path = tmp_path / folder / name
@@ -26,7 +26,7 @@ def test_logs_of_every_kind_count(tmp_path: Path, name: str) -> None:
     assert len(digests) == 2
 
 
-def test_what_a_run_writes_into_the_folder_of_a_log_does_not_count(tmp_path: Path) -> None:
+def test_files_of_a_run_in_the_folder_of_a_log_do_not_count(tmp_path: Path) -> None:
     (tmp_path / "log" / "runs" / "a").mkdir(parents=True)
     (tmp_path / "log" / "a.xml").write_text("<commonRoad/>")
     copy = tmp_path / "copy"
@@ -47,7 +47,7 @@ def test_a_net_that_has_changed_has_another_key_in_the_same_process(tmp_path: Pa
     assert len(digests) == 2
 
 
-def test_files_that_options_name_count_by_what_they_hold(tmp_path: Path) -> None:
+def test_files_named_in_options_count_by_content(tmp_path: Path) -> None:
     file = tmp_path / "seen.safetensors"
     file.write_bytes(b"one")
     named = RunOptions(background="scripted", background_options={"reward": str(file), "attack": "any"})

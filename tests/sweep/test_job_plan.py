@@ -1,4 +1,4 @@
-"""Keys: the same for the same content, and different when anything of it differs."""
+"""Keys: equal for equal content, and different if any of it differs."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_targets_and_backgrounds_share_their_seed_scenes(place: Path) -> None:
     for job in plan.jobs:
         assert (job.number // 2, job.place) == (plan.batches[job.batch].number, job.number % 2)
     wanted = [batch.scenes for batch in plan.batches.values()]
-    assert wanted == [2, 1, 2, 1]  # as far as episodes start in them
+    assert wanted == [2, 1, 2, 1]  # up to the last one that an episode starts in
 
 
 def test_more_episodes_keep_the_keys_of_the_first_ones(place: Path) -> None:

@@ -1,4 +1,4 @@
-"""Ray: the same bytes, and a machine of the cluster may die in the middle."""
+"""Ray: the same bytes, also if a machine of the cluster is lost."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ QUICK = {"RAY_health_check_failure_threshold": "2", "RAY_health_check_period_ms"
 
 @pytest.fixture
 def token(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ray wants a token of all that join a cluster: one for this cluster alone, gone with it."""
+    """Ray requires a token of all that join a cluster: one for this cluster only."""
     monkeypatch.setenv("RAY_AUTH_MODE", "token")
     monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 
 @pytest.fixture
 def nodes(token: None) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Two nodes of one core each on this machine, as two calls of ``ray start`` make them."""
+    """Two nodes of one core each on this machine, started by two calls of ``ray start``."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
@@ -66,7 +66,7 @@ def nodes(token: None) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
         shutil.rmtree(room, ignore_errors=True)
 
 
-def test_one_of_two_nodes_is_killed_in_the_middle(
+def test_a_sweep_survives_the_loss_of_one_of_two_nodes(
     place: Path, nodes: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
     address, (_, second) = nodes
@@ -87,7 +87,7 @@ def test_one_of_two_nodes_is_killed_in_the_middle(
     assert bytes_of(Store.open(tmp_path / "s")) == bytes_of(undisturbed)
 
 
-def test_a_cluster_that_is_not_there_is_one_sentence(place: Path, tmp_path: Path) -> None:
+def test_a_missing_cluster_is_one_sentence(place: Path, tmp_path: Path) -> None:
     grid = {"nets": [str(place / "small.net.xml")], "targets": ["IDM"], "backgrounds": ["replay"]}
     (tmp_path / "asked.toml").write_text(tomli_w.dumps(values(place, grid=grid)))
     words = ("--executor", "ray", "--ray-address", "127.0.0.1:1", "--out", "s")

@@ -1,4 +1,4 @@
-"""A sweep whose target, in processes of its own, crashes, hangs, exits and plans NaN now and then."""
+"""A sweep whose target runs in separate processes that crash, hang, exit and plan NaN at random."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ def test_every_episode_has_its_row_and_no_process_stays(
     messages = {row["message"] for row in failures}
     for words in ("was ended by SIGSEGV", "ended with exit code 4", "did not answer MakePlan within"):
         assert any(words in message for message in messages), words
-    while running("draws_server.py"):  # a worker's keeper ends it when the worker has gone
+    while running("draws_server.py"):  # a keeper ends the server after its worker has ended
         time.sleep(0.02)
 
 
 def attempt(
     server: Path, place: Path, folder: Path, limits: WorkerLimits, limit_s: float
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]] | None:
-    """Return the rows of episodes and failures; None where a plan was late that did not hang."""
+    """Return the rows of episodes and failures; None if a plan was late that did not hang."""
     hangs = folder / f"hangs-{limit_s:g}"
     hangs.mkdir()
     target = {

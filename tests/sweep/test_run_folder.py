@@ -1,4 +1,4 @@
-"""The run folder: what is refused, what is taken away again, and tables that come out the same."""
+"""The run folder: what is refused, what is removed again, and tables with the same bytes."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ def test_the_order_in_which_episodes_finish_does_not_matter(tmp_path: Path) -> N
     assert content(tmp_path / "a") == content(tmp_path / "b")
 
 
-def test_an_episode_counts_once_all_of_it_is_there(tmp_path: Path) -> None:
+def test_an_episode_counts_only_if_its_file_is_intact(tmp_path: Path) -> None:
     folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0, 1)
     stored = folder.path / "parts" / "episodes" / "00" / "000001"
-    stored.write_bytes(stored.read_bytes()[:-9])  # as if the disk had lost its end
+    stored.write_bytes(stored.read_bytes()[:-9])  # as if the end of the file were lost
     assert folder.done() == [0]
     folder.consolidate(finished=False)
     assert pq.read_table(folder.path / "states.parquet")["episode"].unique().to_pylist() == [0]
@@ -77,7 +77,7 @@ def test_an_episode_counts_once_all_of_it_is_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("finished", [False, True])
-def test_resumed_gives_the_bytes_of_undisturbed(tmp_path: Path, *, finished: bool) -> None:
+def test_a_resumed_run_gives_the_same_bytes(tmp_path: Path, *, finished: bool) -> None:
     fill(RunFolder.create(tmp_path / "a", settings(), resume=False), 0, 1, 2).consolidate(finished=True)
     begun = RunFolder.create(tmp_path / "b", settings(episodes=2), resume=False)
     fill(begun, 0, 1).consolidate(finished=finished)
@@ -128,7 +128,7 @@ def test_other_files_are_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_path_that_cannot_be(tmp_path: Path) -> None:
+def test_an_impossible_path_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     for path in (tmp_path / "file", tmp_path / "file" / "below" / "it"):
         with pytest.raises(FileError, match=r"cannot be written .*; choose another --out"):
@@ -148,7 +148,7 @@ def test_a_full_disk_is_one_reason_and_one_remedy(tmp_path: Path, monkeypatch: p
     )
 
 
-def test_discard_takes_away_what_was_made_and_no_more(tmp_path: Path) -> None:
+def test_discard_removes_only_what_was_created(tmp_path: Path) -> None:
     RunFolder.create(tmp_path / "new" / "deep" / "run", settings(), resume=False).discard()
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "empty").mkdir()
@@ -196,7 +196,7 @@ def test_failures_are_kept_with_the_command_that_repeats_them(tmp_path: Path) ->
     assert content(folder.path) == whole
 
 
-def test_a_failure_without_rows_is_still_there_once_the_run_has_ended(tmp_path: Path) -> None:
+def test_a_failure_without_rows_is_kept_in_a_finished_run(tmp_path: Path) -> None:
     died = Failed("worker_died", "the worker was ended by SIGKILL", attempts=2)
     folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 1)
     for number in (0, 2):
@@ -212,7 +212,7 @@ def test_a_failure_without_rows_is_still_there_once_the_run_has_ended(tmp_path: 
         RunFolder.create(folder.path, settings(episodes=2), resume=True)
 
 
-def test_no_file_of_failures_where_nothing_failed(tmp_path: Path) -> None:
+def test_no_file_of_failures_if_nothing_failed(tmp_path: Path) -> None:
     folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0)
     (folder.path / FAILURES).write_bytes(b"of before")
     folder.consolidate(finished=True)
@@ -229,7 +229,7 @@ def test_a_net_that_has_changed_is_noticed(tmp_path: Path) -> None:
         RunFolder.create(tmp_path / "run", {**asked, "run": {"inputs": "b2"}}, resume=True)
 
 
-def test_what_failed_before_it_had_a_row_counts_in_every_summary(tmp_path: Path) -> None:
+def test_an_episode_that_failed_without_a_row_counts_in_every_summary(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path / "run", settings(), resume=False)
     fill(folder, 0, 1).add(2, StoredEpisode({}, Failed("worker_died", "its worker died")))
     folder.consolidate(finished=True)
@@ -240,7 +240,7 @@ def test_what_failed_before_it_had_a_row_counts_in_every_summary(tmp_path: Path)
     assert tables.unstarted(tables.all_episodes()) == []
 
 
-def test_what_a_run_was_begun_with_is_kept_where_it_goes_on_with_something_else(tmp_path: Path) -> None:
+def test_a_continued_run_keeps_the_versions_that_it_began_with(tmp_path: Path) -> None:
     path, now = tmp_path / "run", settings()
     before = {**now, "run": {"advdiff_sumo": "0.1", "libsumo": "1.20"}}
     fill(RunFolder.create(path, before, resume=False), 0).consolidate(finished=False)
@@ -257,13 +257,15 @@ def test_tables_catch_up_with_the_episodes_of_an_interrupted_run(tmp_path: Path)
     assert tables.rows("episodes").num_rows == 1
     before = tables.path("episodes").stat().st_mtime_ns
     folder.catch_up()
-    assert tables.path("episodes").stat().st_mtime_ns == before, "nothing has come"
+    assert tables.path("episodes").stat().st_mtime_ns == before, "nothing was added"
     fill(folder, 1).catch_up()
     assert tables.rows("episodes").num_rows == 2
 
 
-def test_tables_of_a_run_that_ends_meanwhile_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody looks at a run, which has put its tables together and taken its parts away before they are read."""
+def test_tables_of_a_run_that_ends_during_the_reading_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While another process reads a run, the run ends: it writes its tables and removes the single files."""
     folder = fill(RunFolder.create(tmp_path / "run", settings(), resume=False), 0, 1, 2)
     numbers = folder.done()
     assert folder.consolidate(finished=True) == 3
@@ -274,6 +276,6 @@ def test_tables_of_a_run_that_ends_meanwhile_stay(tmp_path: Path, monkeypatch: p
     assert content(folder.path) == whole
 
 
-def test_the_command_that_repeats_an_episode_takes_folders_with_blanks(tmp_path: Path) -> None:
+def test_the_command_that_repeats_an_episode_quotes_its_folder(tmp_path: Path) -> None:
     row = RunFolder(tmp_path / "my runs").failure_row(2, Failed("timeout", "not finished after 3 s"))
     assert shlex.split(row["command"]) == ["advdiff-sumo", "replay", "2", "--run", str(tmp_path / "my runs")]

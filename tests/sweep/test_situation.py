@@ -1,4 +1,4 @@
-"""From where the other came and what the target did, worked by hand on a crossing at the origin."""
+"""The approach of the other and the manoeuvre of the target, computed by hand on a crossing at the origin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 
 def row(collides_s: float | None = 4.0, **values: object) -> dict[str, object]:
-    """Return what a row says of a collision with "other"; None: it passes at 4 s."""
+    """Return the row of a collision with "other"; None: it passes at 4 s."""
     hit = collides_s is not None
     return {
         "target_collision": hit,
@@ -40,7 +40,7 @@ def row(collides_s: float | None = 4.0, **values: object) -> dict[str, object]:
         (straight("other", (40.0, -40.0), np.pi / 2, 10.0), "from_right"),
     ],
 )
-def test_from_where_the_other_came(other: Car, word: str, road: RoadMap) -> None:
+def test_the_approach_of_the_other(other: Car, word: str, road: RoadMap) -> None:
     """The target goes east from the origin at 10 m/s; both a contact and a pass count."""
     record = record_of(straight("ego", (0.0, 0.0), 0.0, 10.0), other)
     for values in (row(), row(None)):
@@ -59,16 +59,14 @@ def test_from_where_the_other_came(other: Car, word: str, road: RoadMap) -> None
         ({"other": ("cut-in", -4.5)}, "natural"),
     ],
 )
-def test_what_the_other_did_against_the_target(
-    manoeuvres: dict[str, tuple[str, float]], word: str, road: RoadMap
-) -> None:
+def test_the_attack_of_the_other(manoeuvres: dict[str, tuple[str, float]], word: str, road: RoadMap) -> None:
     """Contact is at 4 s; what was over 8 s before does not count."""
     ego, other = straight("ego", (0.0, 0.0), 0.0, 10.0), straight("other", (30.0, 0.0), 0.0, 4.0)
     record = record_of(ego, other, manoeuvres=manoeuvres)
     assert situation(record, row(), road)["attacker_manoeuvre"] == word
 
 
-def test_who_leaves_the_road_met_nobody(road: RoadMap) -> None:
+def test_leaving_the_road_has_no_partner(road: RoadMap) -> None:
     record = record_of(straight("ego", (0.0, 0.0), 0.0, 10.0), straight("other", (30.0, 0.0), 0.0, 4.0))
     assert situation(record, row(collision_partner=None), road)["approach"] is None
 
@@ -77,7 +75,7 @@ def test_who_leaves_the_road_met_nobody(road: RoadMap) -> None:
     ("turned_rad", "speed_mps", "word"),
     [(1.5, 5.0, "turn_left"), (-1.5, 5.0, "turn_right"), (0.2, 5.0, "straight"), (0.0, 0.1, "standing")],
 )
-def test_what_the_target_did(turned_rad: float, speed_mps: float, word: str, road: RoadMap) -> None:
+def test_the_manoeuvre_of_the_target(turned_rad: float, speed_mps: float, word: str, road: RoadMap) -> None:
     """It turns evenly over the 3 s up to 4 s."""
     ego = straight("ego", (0.0, 0.0), 0.0, speed_mps)
     yaw = np.clip(0.1 * np.arange(41) - 1.0, 0.0, 3.0) * turned_rad / 3.0

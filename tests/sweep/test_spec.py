@@ -1,4 +1,4 @@
-"""Sweep files: what they ask for, and what is wrong with them in one sentence."""
+"""Sweep files: what they request, and errors in one sentence."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_a_wrong_name_is_one_sentence(place: Path, grid: dict[str, Any], words: 
         assert word in str(caught.value)
 
 
-def test_what_a_case_gives_its_target_is_refused_with_its_place(place: Path) -> None:
+def test_a_wrong_option_in_a_case_is_refused_with_its_place(place: Path) -> None:
     content = values(place)
     net = content["grid"]["nets"][0]
     cases = [{"net": net}, {"net": net, "target": "lane_graph", "target_options": {"horizon_s": -3}}]

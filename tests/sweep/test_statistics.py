@@ -1,4 +1,4 @@
-"""Rates, findings, coverage and paired comparison on rows worked out by hand."""
+"""Rates, findings, coverage and paired comparison on rows made by hand."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_rates_with_wilson_intervals() -> None:
 
 
 def test_a_contact_before_a_failure_counts_everywhere() -> None:
-    """Of three episodes one failed after a valid failure, one before anything had happened."""
+    """Of three episodes, one failed after a valid failure, and one before anything had happened."""
     struck = hit(0, end="failed", valid_failure=True, at_fault="target", attack="replay")
     rows = [struck, row(1), row(2, end="failed")]
     failures = [
@@ -151,9 +151,9 @@ def test_near_duplicates_are_one_finding() -> None:
 
 
 def test_no_two_collisions_of_a_finding_differ_by_more_than_the_tolerances() -> None:
-    chain = [hit(k, ahead=0.5 * k) for k in range(20)]  # each near to the next, the ends 9.5 m apart
+    chain = [hit(k, ahead=0.5 * k) for k in range(20)]  # neighbours are close, the ends are 9.5 m apart
     found = findings(chain)
-    assert len(found) >= 3  # 9.5 m in pieces of 3 m at most, each with both its ends
+    assert len(found) >= 3  # 9.5 m are covered by pieces of at most 3 m
     for finding in found:
         ahead = [0.5 * episode for episode in finding.episodes]
         assert max(ahead) - min(ahead) <= 3.0 + 1e-9
@@ -167,7 +167,7 @@ def test_findings_do_not_depend_on_the_order_of_rows() -> None:
     assert findings(rows) == findings(rows[::-1])
 
 
-def test_coverage_knows_what_was_not_tried() -> None:
+def test_coverage_counts_what_was_not_tried() -> None:
     assert bands() == ("0-5 m/s", "5-10 m/s", "10-15 m/s", "over 15 m/s")
     rows = [hit(0), row(1, critical_speed_mps=5.0), row(2, critical_speed_mps=4.9), row(3, end="failed")]
     tried = coverage(rows, ["replay", "cut_in", "replay"], ["priority"])
@@ -184,7 +184,7 @@ def test_coverage_knows_what_was_not_tried() -> None:
     assert tried.cells["cut_in", "road", "over 15 m/s"].episodes == 0
 
 
-def test_pairs_are_tested_after_mcnemar() -> None:
+def test_pairs_are_tested_by_mcnemar() -> None:
     first = [hit(k) if k < 8 else row(k) for k in range(30)]
     second = [hit(k, target="ACC") if k in {0, 20} else row(k, target="ACC") for k in range(30)]
     found = compare(first, second[::-1])
@@ -201,8 +201,8 @@ def test_pairs_are_tested_after_mcnemar() -> None:
     assert named["collision_rate_change"] == pytest.approx(-6 / 30)
 
 
-def test_pairs_without_a_discordant_one_leave_the_difference_open() -> None:
-    """None of thirty scenes: z² / (30 + z²) = 0.1135."""
+def test_without_discordant_pairs_the_interval_is_wilsons() -> None:
+    """Wilson's bound for 0 of 30: z² / (30 + z²) = 0.1135."""
     change = compare([hit(k) for k in range(30)], [hit(k, target="ACC") for k in range(30)]).rates[
         "collisions"
     ]
@@ -268,7 +268,7 @@ def test_rows_are_chosen_by_column() -> None:
         choose(rows, ["ACC"], "--a")
 
 
-def test_junit_tells_collisions_from_failures() -> None:
+def test_junit_distinguishes_failures_errors_and_other_collisions() -> None:
     failed = {
         **row(2, end="failed"),
         "kind": "timeout",

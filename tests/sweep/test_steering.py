@@ -1,4 +1,4 @@
-"""Which episodes a diverse sweep takes next, by hand and in general."""
+"""Which episodes a diverse sweep chooses next: single cases by hand, and properties."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def candidate(kind: str, scene: int) -> Candidate:
 def row(
     kind: str, approach: str | None = "ahead", manoeuvre: str = "straight", **values: Any
 ) -> dict[str, Any]:
-    """Return what the archive reads of an episode; a valid failure unless *values* say otherwise."""
+    """Return the columns of an episode that the archive reads; a valid failure unless *values* say otherwise."""
     plain = {
         "episode": 0,
         "attack": kind,
@@ -60,14 +60,14 @@ def test_a_cell_keeps_the_worst_episode() -> None:
     assert (elite.episodes, elite.valid, elite.worst["episode"]) == (3, 2, 2)
 
 
-def test_where_nothing_is_known_every_kind_and_scene_is_tried_in_turn() -> None:
+def test_without_results_every_kind_and_scene_is_tried_in_turn() -> None:
     pool = [candidate(kind, scene) for kind in KINDS for scene in range(4)]
     keys = Steering.after([]).pick(pool, 3)
     assert keys == ["hard-stop-0", "cut-in-1", "crossing-2"]
 
 
-def test_a_kind_that_has_filled_its_cell_waits() -> None:
-    """Four valid failures alike: more of these fill nothing; a kind that never came about is no better after eight."""
+def test_a_kind_that_has_filled_its_cell_comes_later() -> None:
+    """More of four equal valid failures fill no cell; a kind without a row in eight episodes is no better."""
     alike = [(candidate("hard-stop", scene), row("hard-stop")) for scene in range(4)]
     fresh = [candidate(kind, scene) for scene in range(10, 12) for kind in KINDS]
     first = Steering.after(alike).pick(fresh, 2)
@@ -77,7 +77,7 @@ def test_a_kind_that_has_filled_its_cell_waits() -> None:
     assert "crossing" not in {key.rpartition("-")[0] for key in first}
 
 
-def test_a_scene_in_which_nobody_could_attack_waits() -> None:
+def test_a_scene_without_an_attack_comes_later() -> None:
     jam = [(candidate(kind, 0), row(kind, in_position=False)) for kind in KINDS[:2]]
     assert Steering.after(jam).pick([candidate("crossing", scene) for scene in (0, 1)], 1) == ["crossing-1"]
 
@@ -91,7 +91,7 @@ def test_a_near_miss_is_promising() -> None:
 
 
 def test_a_scene_in_which_the_target_turns_fills_what_is_empty() -> None:
-    """Stops of the leader are known for a target that goes straight: a scene in which it turned comes first."""
+    """The target went straight in all hard stops so far: a scene in which it turned comes first."""
     results = [(candidate("hard-stop", scene), row("hard-stop")) for scene in range(3)]
     results += [
         (candidate("cut-in", 5), row("cut-in", valid_failure=False)),
@@ -107,19 +107,19 @@ def test_episodes_are_picked_once_and_never_invented(data: st.DataObject) -> Non
     done = data.draw(st.lists(st.sampled_from(pool), unique=True))
     results = [
         (
-            one,
+            option,
             row(
-                one.kind,
+                option.kind,
                 data.draw(st.sampled_from(APPROACHES)),
                 data.draw(st.sampled_from(MANOEUVRES)),
                 valid_failure=data.draw(st.booleans()),
             ),
         )
-        for one in done
+        for option in done
     ]
-    left = [one for one in pool if one not in done]
+    remaining = [option for option in pool if option not in done]
     count = data.draw(st.integers(0, 20))
-    keys = Steering.after(results).pick(left, count)
-    assert len(keys) == len(set(keys)) == min(count, len(left))
-    assert set(keys) <= {one.key for one in left}
-    assert keys == Steering.after(results).pick(left, count)
+    keys = Steering.after(results).pick(remaining, count)
+    assert len(keys) == len(set(keys)) == min(count, len(remaining))
+    assert set(keys) <= {option.key for option in remaining}
+    assert keys == Steering.after(results).pick(remaining, count)

@@ -1,4 +1,4 @@
-"""What a sweep came to is read where its planners are not at hand, and starts none of them."""
+"""Results of a sweep can be read without its planners, and none of them is started."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_a_sweep_whose_planner_cannot_be_imported(
     assert [row["target"] for row in rows_of_folder(store.path).episodes] == ["sick_planners:Coasts"] * 2
     assert (
         open_judging(store.path).doubt == ""
-    )  # its verdicts go into its episodes, too, not its tables alone
+    )  # verdicts are also stored in the episodes, not only in the tables
     with pytest.raises(ConfigError, match="'sick_planners:Coasts' cannot be imported"):
         stored_plan(store, drives=True)
 
@@ -37,7 +37,7 @@ def spec_of(place: Path, target: str, background: str) -> SweepSpec:
     return SweepSpec.of(values(place, grid=grid), "test")
 
 
-def test_a_planner_in_a_process_of_its_own_is_not_started(place: Path, tmp_path: Path) -> None:
+def test_a_planner_in_a_separate_process_is_not_started(place: Path, tmp_path: Path) -> None:
     started = tmp_path / "started"
     spec = spec_of(place, f"exec:touch {started}", "replay")
     open_store(tmp_path / "s", plan_sweep(spec, drives=False), 1, resume=False)

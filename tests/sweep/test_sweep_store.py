@@ -1,4 +1,4 @@
-"""The folder of a sweep: nothing half-written counts, damage is seen, other sweeps are refused."""
+"""The folder of a sweep: incomplete files do not count, damage is noticed, other sweeps are refused."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLAN = SweepPlan(
 PART = StoredEpisode({}, Failed("timeout", "not finished after 3 s", "thinking", 1)).to_bytes()
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_a_written_episode_is_read_again(tmp_path: Path) -> None:
     store = open_store(tmp_path / "s", PLAN, 1, resume=False)
     store.write("abcdef", PART)
     part = store.read("abcdef")
@@ -51,7 +51,7 @@ def test_a_damaged_episode_is_missing(tmp_path: Path, damage: str) -> None:
     assert not store.has("abcdef")
 
 
-def test_scenes_are_checked_too(tmp_path: Path) -> None:
+def test_damaged_scenes_are_missing(tmp_path: Path) -> None:
     store = open_store(tmp_path / "s", PLAN, 1, resume=False)
     store.write_scenes("batch", (b"one", b"two"), 2)
     assert Store(store.path).read_scenes("batch") == (b"one", b"two")
@@ -101,15 +101,15 @@ def test_a_sweep_whose_net_has_changed_is_refused(tmp_path: Path) -> None:
         open_store(tmp_path / "s", other, 1, resume=True)
 
 
-def test_room_is_kept_back_and_given_back(tmp_path: Path) -> None:
+def test_disk_space_is_reserved_and_released(tmp_path: Path) -> None:
     store = open_store(tmp_path / "s", PLAN, 2, resume=False)
     assert (store.path / "ballast").stat().st_size == 3 * (4 << 20)
     store.end()
     assert sorted(path.name for path in store.path.iterdir()) == ["episodes", "sweep.toml"]
 
 
-def test_no_room_for_a_new_sweep_leaves_nothing_behind(tmp_path: Path) -> None:
-    """There would be nothing to resume, and the same command would be refused for the rest of it."""
+def test_a_full_disk_at_the_start_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Else the same command would be refused because of a folder that cannot be resumed."""
     script = (
         "import resource, sys; from pathlib import Path\n"
         "from advdiff_sumo.core.errors import FileError\n"
@@ -126,7 +126,7 @@ def test_no_room_for_a_new_sweep_leaves_nothing_behind(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_no_room_leaves_the_old_file_and_no_rest(tmp_path: Path) -> None:
+def test_a_full_disk_keeps_the_old_file_and_leaves_no_other(tmp_path: Path) -> None:
     path = tmp_path / "file"
     write_checked(path, b"old")
     script = (

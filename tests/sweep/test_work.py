@@ -1,4 +1,4 @@
-"""What a worker makes of what goes wrong in it."""
+"""How a worker reports what goes wrong in it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def filling() -> bytes:
 
 
 @pytest.mark.parametrize(("call", "words"), [(lacking, "17 GB"), (filling, "can't allocate memory")])
-def test_a_worker_without_memory_says_so_whoever_asked_for_it(call: Callable[[], bytes], words: str) -> None:
+def test_a_worker_without_memory_reports_it_whatever_code_needed_it(
+    call: Callable[[], bytes], words: str
+) -> None:
     failed = perform(CallTask("k", call)).failed
     assert failed is not None
     assert failed.kind == "out_of_memory"
@@ -90,7 +92,7 @@ def well_here(place: Path) -> Iterator[Path]:
 
 
 def swept(place: Path, limits: WorkerLimits, folder: Path, **grid: Any) -> Store:
-    """Return the store of a sweep of two episodes in a worker that may die twice of each."""
+    """Return the store of a sweep of two episodes; each is retried once if its worker dies."""
     base = {"nets": [str(place / "small.net.xml")], "targets": ["IDM"], "backgrounds": ["sumo"]}
     plan = planned(place, grid=base | grid)
     store = open_store(folder, plan, 1, resume=False)
@@ -106,7 +108,7 @@ def swept(place: Path, limits: WorkerLimits, folder: Path, **grid: Any) -> Store
     ("part", "name", "who"),
     [("targets", "Planner", "target"), ("backgrounds", "Traffic", "background")],
 )
-def test_who_ends_its_process_while_it_is_made_costs_its_episodes_with_a_row_each(
+def test_a_driver_that_ends_the_process_while_it_is_made_costs_its_episodes_only(
     well_here: Path, limits: WorkerLimits, tmp_path: Path, part: str, name: str, who: str
 ) -> None:
     choice = {"name": f"well_here:{name}", "options": {"deed": "leaves"}}
@@ -123,10 +125,10 @@ def test_who_ends_its_process_while_it_is_made_costs_its_episodes_with_a_row_eac
 
 
 @pytest.mark.slow
-def test_who_hangs_while_it_is_made_is_ended(
+def test_a_driver_that_hangs_while_it_is_made_is_ended(
     well_here: Path, limits: WorkerLimits, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tasks, "STEP_TIMEOUT_S", 3.0)  # nothing else in this sweep has a limit
+    monkeypatch.setattr(tasks, "STEP_TIMEOUT_S", 3.0)  # the only limit in this sweep
     brief = WorkerLimits(math.inf, limits.memory_mb, 100, 0.9, limits.logs, plan_timeout_s=2.0)
     choice = {"name": "well_here:Planner", "options": {"deed": "hangs"}}
     store = swept(well_here, brief, tmp_path / "s", targets=[choice])
@@ -141,7 +143,7 @@ def test_who_hangs_while_it_is_made_is_ended(
 
 
 def test_how_long_each_phase_may_last(limits: WorkerLimits) -> None:
-    """A planner may take as long to be made as SUMO to start, also where its plans have to come soon."""
+    """Making a planner has the same limit as a step of SUMO, even if plans have a shorter one."""
     for plan_s, longest_s in ((2.0, 300.0), (400.0, 400.0), (math.inf, math.inf)):
         own = WorkerLimits(math.inf, 0, 1, 0.9, limits.logs, plan_timeout_s=plan_s)
         assert {phase: own.longest_s(phase) for phase in ProcessPhase} == {
@@ -167,7 +169,7 @@ def test_how_long_each_phase_may_last(limits: WorkerLimits) -> None:
         ),
     ],
 )
-def test_what_is_said_of_a_worker_that_was_lost_before_the_first_step(
+def test_the_message_for_a_worker_lost_before_the_first_step(
     limits: WorkerLimits, phase: ProcessPhase, words: str
 ) -> None:
     task = EpisodeTask("k", RunOptions(background="mine:B"), 0, b"", "")

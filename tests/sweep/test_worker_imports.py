@@ -1,4 +1,4 @@
-"""What a worker imports before its first episode: PyTorch alone takes longer than all else, and few sweeps need it."""
+"""Imports of a worker before its first episode: few sweeps need PyTorch, which takes longer than all else."""
 
 import subprocess
 import sys
@@ -23,7 +23,7 @@ def test_without_networks_no_slow_library_is_imported(modules: str) -> None:
     assert answer.stdout == "[]\n"
 
 
-def test_a_built_in_is_found_by_any_spelling_and_a_class_of_ones_own_is_none() -> None:
+def test_a_built_in_is_found_by_any_spelling_and_a_users_class_is_none() -> None:
     from advdiff_sumo.traffic.policy_registry import POLICIES
 
     assert POLICIES.builtin_module("Adv_RL") == "advdiff_sumo.traffic.rl.adv_rl_policy"

@@ -1,4 +1,4 @@
-"""What is kept of what a worker printed."""
+"""What is kept of a worker's output."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def kept(folder: Path, text: str) -> str:
     return tail_of(log)
 
 
-def test_little_is_kept_whole_and_of_much_the_end(tmp_path: Path) -> None:
+def test_a_short_log_is_kept_and_of_a_long_one_the_end(tmp_path: Path) -> None:
     assert kept(tmp_path, "thinking\n") == "thinking"
     much = kept(tmp_path, "".join(f"line {number}\n" for number in range(2000)))
     first, _, rest = much.partition("\n")
@@ -29,12 +29,12 @@ def test_little_is_kept_whole_and_of_much_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stack", [STUCK, CRASHED])
-def test_of_a_stack_the_beginning_is_kept_with_what_came_before(tmp_path: Path, stack: str) -> None:
+def test_of_a_stack_the_beginning_is_kept_with_the_lines_before(tmp_path: Path, stack: str) -> None:
     tail = kept(tmp_path, "before\n" * 2000 + stack + "x" * 20_000)
     assert stack.strip() in tail
     assert "before\nbefore\n" in tail
 
 
-def test_a_planners_own_word_is_no_stack(tmp_path: Path) -> None:
+def test_a_planners_own_output_is_no_stack(tmp_path: Path) -> None:
     said = "requests.Timeout (5 s)\n" + "after\n" * 10
     assert kept(tmp_path, said) == said.strip()

@@ -1,4 +1,4 @@
-"""Who is said to have died where a worker is gone."""
+"""The failure that is recorded when a worker has died."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.hang_guard import HANG_S
 
 
 @pytest.mark.parametrize(("exit_code", "kind"), [(UNSEEN, "worker_died"), (3, "planner_crashed")])
-def test_a_planner_is_blamed_only_for_an_end_that_was_seen(
+def test_a_planner_is_blamed_only_if_the_exit_code_is_known(
     exit_code: int, kind: str, limits: WorkerLimits
 ) -> None:
     task = EpisodeTask("key", RunOptions(net="downtown"), 0, b"", "")
@@ -38,7 +38,7 @@ def answers() -> bytes:
     return b"here"
 
 
-def test_of_a_fork_server_that_is_killed_its_workers_are_not_blamed_and_others_follow(
+def test_after_the_death_of_the_fork_server_new_workers_start(
     limits: WorkerLimits,
 ) -> None:
     with ProcessExecutor(1, limits) as executor:

@@ -99,7 +99,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def served(faulty: Path) -> Iterator[Callable[..., RemotePlanner]]:
-    """Return a maker of remote planners that have a fault; their servers end with the test."""
+    """Return a maker of remote planners with a given fault; their servers end with the test."""
     made: list[RemotePlanner] = []
 
     def make(fault: str = "", **options: float) -> RemotePlanner:
@@ -113,13 +113,13 @@ def served(faulty: Path) -> Iterator[Callable[..., RemotePlanner]]:
 
 @pytest.fixture
 def road(crossing: Callable[..., RoadMap]) -> RoadMap:
-    """A crossing with signals' worth of lanes."""
+    """A crossing."""
     return crossing()
 
 
 @pytest.fixture
 def scene(road: RoadMap) -> Scene:
-    """Two cars on it; one of them was not there at first."""
+    """Two cars on it; the second one was missing at the first instant."""
     made = make_scene(
         road, [Car("west_in_0", 80.0, 8.0), Car("east_in_0", 60.0, 9.0)], ("west_in", "east_out")
     )

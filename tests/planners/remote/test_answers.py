@@ -1,4 +1,4 @@
-"""Answers that do not fit: a server of any language may send any bytes, and each gets one sentence."""
+"""Invalid answers: a server in any language may send any bytes, and each fault is reported in one sentence."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UNREADABLE = "answered MakePlan with bytes that are no Plan of planner.proto; bu
 
 
 class Answers:
-    """Serves a planner whose second plan, and whose descriptions, are bytes of somebody else."""
+    """Serves a planner whose second plan, and whose description, are the given bytes."""
 
     def __init__(self, plan: bytes | None = None, description: bytes | None = None) -> None:
         self.plan, self.description, self.plans = plan, description, 0
@@ -56,7 +56,7 @@ class Answers:
 
 @contextmanager
 def answering(answers: Answers, folder: Path) -> Iterator[RemotePlanner]:
-    """Yield the planner that talks to a server with *answers*."""
+    """Yield the planner that is connected to a server with *answers*."""
     handlers = {
         name: grpc.unary_unary_rpc_method_handler(lambda request, _, call=call: call(request))
         for name, call in answers.calls().items()
@@ -73,8 +73,8 @@ def answering(answers: Answers, folder: Path) -> Iterator[RemotePlanner]:
         server.stop(grace=None).wait()
 
 
-def test_a_map_beyond_the_limit_of_a_server_is_told_apart_from_a_lack_of_memory(tmp_path: Path) -> None:
-    """Nobody told this one to take more than gRPC's 4 MB; the map of a city has more."""
+def test_a_map_beyond_the_servers_limit_is_no_lack_of_memory(tmp_path: Path) -> None:
+    """The server has gRPC's default limit of 4 MB; the map of a city is larger."""
     with answering(Answers(), tmp_path):
         connection = Connection(f"unix:{tmp_path}/socket", "mine")
         connection.call("LoadMap", messages.Map(net_path="x" * 4_000_000), HANG_S)
@@ -89,7 +89,7 @@ def test_a_map_beyond_the_limit_of_a_server_is_told_apart_from_a_lack_of_memory(
 
 
 def packed(field: int, count: int, content: bytes) -> bytes:
-    """Return a plan of controls whose *field* has *count* bytes, so it says, of *content*."""
+    """Return a plan of controls whose *field* claims to have *count* bytes, but has *content*."""
     inner = bytes([field << 3 | 2, count]) + content
     return bytes([2 << 3 | 2, len(inner)]) + inner
 
@@ -124,7 +124,7 @@ def test_the_episode_fails_in_one_sentence_and_keeps_what_was_driven(
         assert again.failure is None
 
 
-def test_a_description_that_is_none_is_said_before_anything_is_run(tmp_path: Path) -> None:
+def test_an_unreadable_description_is_reported_before_anything_is_run(tmp_path: Path) -> None:
     with (
         answering(Answers(description=b"hello"), tmp_path) as planner,
         pytest.raises(ConfigError, match=r"answered Describe with bytes that are no Description .* writes$"),
@@ -132,7 +132,7 @@ def test_a_description_that_is_none_is_said_before_anything_is_run(tmp_path: Pat
         planner.check()
 
 
-def test_a_server_that_does_not_say_which_version_it_speaks_is_told_to(tmp_path: Path) -> None:
+def test_a_server_without_a_version_is_refused(tmp_path: Path) -> None:
     silent = messages.Description(name="mine").SerializeToString()
     with (
         answering(Answers(description=silent), tmp_path) as planner,
@@ -161,7 +161,7 @@ def test_a_python_server_refuses_arrays_that_do_not_fit(plan: Any, words: str) -
 
 
 @pytest.mark.parametrize("values", [[1] * 10, np.ones(10, np.int8), np.ones(10, np.float32)])
-def test_it_takes_whatever_says_numbers(values: Any) -> None:
+def test_it_accepts_any_numeric_type(values: Any) -> None:
     assert list(_served(Controls(values, values, 0.1)).controls.accel_mps2) == [1.0] * 10
 
 
@@ -179,10 +179,10 @@ class _Gives:
 
 
 def _served(plan: Any) -> Any:
-    """Return the message that a Python server makes of *plan*."""
+    """Return the message that a Python server makes from *plan*."""
     own = messages.Object(id="t", x_m=[0.0], y_m=[0.0], yaw_rad=[0.0], speed_mps=[1.0])
     scene = messages.Scene(step_s=0.5, own=own)
     server = PlannerServer(_Gives(plan), "gives", "", False, lambda _: None)
-    server._roads["map"] = object()  # a map that is none will do
+    server._roads["map"] = object()  # any object serves as the map
     server.StartEpisode(messages.StartRequest(episode_id="e", map_id="map", scene=scene))
     return server.MakePlan(messages.PlanRequest(episode_id="e", scene=scene))

@@ -1,4 +1,4 @@
-"""The folder of a planner's server goes with whoever started it, in whatever way that ends."""
+"""The folder of a planner's server is removed when the process that started it ends, in any way."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if sys.argv[1] == "worker":
 
 
 @pytest.mark.parametrize(("ends", "code"), [("killed", -signal.SIGKILL), ("worker", 0), ("itself", 0)])
-def test_a_folder_does_not_outlive_who_made_it(ends: str, code: int) -> None:
+def test_a_folder_does_not_outlive_the_process_that_made_it(ends: str, code: int) -> None:
     command = [sys.executable, "-c", STARTS, ends]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, timeout=HANG_S)
     folder, until = Path(done.stdout.strip()), time.monotonic() + HANG_S
@@ -41,7 +41,7 @@ def test_a_folder_does_not_outlive_who_made_it(ends: str, code: int) -> None:
 
 
 @pytest.mark.parametrize("no_process", [False, True])
-def test_what_cannot_be_started_leaves_no_folder(
+def test_a_failed_start_leaves_no_folder(
     no_process: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

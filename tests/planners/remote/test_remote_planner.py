@@ -1,4 +1,4 @@
-"""A planner's server in a process of its own: what it plans, and what becomes of each fault."""
+"""A planner's server in a separate process: its plans, and the outcome of each fault."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from advdiff_sumo.planners.remote.write_kit import write_kit
 from tests.hang_guard import HANG_S, with_time
 
 Made = Callable[..., RemotePlanner]
-#: Lets a server import what the kit may need, and nothing else.
+#: A server that can import only what the kit may need.
 ONLY_THE_KIT = """
 import sys
 import tempfile
@@ -63,15 +63,15 @@ planner_kit.serve(Faulty)
 
 
 def plans(planner: RemotePlanner, road: RoadMap, scene: Scene, count: int = 2) -> list[float]:
-    """Return the first acceleration of *count* plans of one episode."""
+    """Return the first acceleration of each of *count* plans of one episode."""
     rng = np.random.default_rng(5)
     memory = planner.start(road, scene, rng)
-    found = []
+    accels = []
     for _ in range(count):
         plan, memory = planner.plan(road, scene, memory, rng)
         assert isinstance(plan, Controls)
-        found.append(float(plan.accel_mps2[0]))
-    return found
+        accels.append(float(plan.accel_mps2[0]))
+    return accels
 
 
 def test_the_same_seed_gives_the_same_plans(served: Made, road: RoadMap, scene: Scene) -> None:
@@ -110,7 +110,7 @@ def test_a_server_is_told_the_time_to_the_next_plan(road: RoadMap, scene: Scene,
     planner.close()
 
 
-def test_our_own_planner_plans_the_same_in_a_process_of_its_own(road: RoadMap, scene: Scene) -> None:
+def test_a_built_in_planner_plans_the_same_in_a_separate_process(road: RoadMap, scene: Scene) -> None:
     words = "advdiff_sumo.planners.lane_graph:LaneGraphPlanner --read-road advdiff_sumo.maps:RoadMap.read"
     remote = make_target(f"exec:{sys.executable} -m advdiff_sumo.planner_kit {words}", {})
     assert isinstance(remote, RemotePlanner)
@@ -147,7 +147,7 @@ def test_each_fault_is_a_typed_failure_and_the_next_episode_begins(
     served: Made, road: RoadMap, scene: Scene, fault: str, kind: type[EpisodeFailure], words: str, trace: str
 ) -> None:
     def attempt(limit_s: float) -> tuple[list[EpisodeFailure], bool] | None:
-        """Return two failures and whether the episode after them began; None where a healthy call was late."""
+        """Return two failures and whether the next episode began; None if a healthy call was late."""
         planner = served(fault, **({"plan_timeout_s": limit_s} if fault == "hangs" else {}))
         failures: list[EpisodeFailure] = []
         try:
@@ -185,7 +185,7 @@ def test_no_process_stays_behind(served: Made, faulty: Path, road: RoadMap, scen
     child = f"left-behind by {faulty}"
     planner = served("child")
     planner.start(road, scene, np.random.default_rng(0))
-    while not running(child):  # between fork and exec it has its parent's name
+    while not running(child):  # between fork and exec it has its parent's command line
         time.sleep(0.01)
     planner.close()
     assert not running(child, str(faulty))
@@ -205,7 +205,7 @@ def test_a_defect_leaves_check_end_and_close_as_they_are(faulty: Path, road: Roa
     memory = target.start(road, scene, rng)
     _, memory = target.plan(road, scene, memory, rng)
     target.end(memory, "collision", 1.0, "")
-    with pytest.raises(PlannerError, match="was not started here"):  # the server has forgotten the episode
+    with pytest.raises(PlannerError, match="was not started here"):  # the server has deleted the episode
         target.plan(road, scene, memory, rng)
     target.close()
     assert not running(str(faulty))
@@ -227,7 +227,7 @@ ctypes.CDLL(None).pthread_exit(None)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads that outlive the first one are Linux's")
-def test_nor_does_one_of_a_server_whose_first_thread_has_ended(tmp_path: Path) -> None:
+def test_no_process_of_a_server_whose_first_thread_ended_stays_behind(tmp_path: Path) -> None:
     program = tmp_path / "server.py"
     program.write_text(FIRST_THREAD_ENDS)
     command = [sys.executable, "-I", "-S", keeper.__file__, sys.executable, str(program)]
@@ -269,7 +269,7 @@ def kept_elsewhere(*command: str) -> subprocess.Popen[bytes]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the test itself looks into /proc")
-def test_without_pidfd_and_proc_a_server_and_its_child_end_with_us(tmp_path: Path) -> None:
+def test_without_pidfd_and_proc_a_server_and_its_child_end_with_this_process(tmp_path: Path) -> None:
     program = tmp_path / "server.py"
     program.write_text(DEAF_WITH_CHILD)
     with kept_elsewhere(sys.executable, str(program)) as process:
@@ -279,12 +279,12 @@ def test_without_pidfd_and_proc_a_server_and_its_child_end_with_us(tmp_path: Pat
         out, _ = process.communicate(timeout=HANG_S)
     assert out.split() == [b"-9"]
     until = time.monotonic() + HANG_S
-    while running(str(program)):  # killed, and not yet gone
+    while running(str(program)):  # killed, but not removed yet
         assert time.monotonic() < until
         time.sleep(0.01)
 
 
-def test_without_pidfd_and_proc_a_command_that_ends_tells_how() -> None:
+def test_without_pidfd_and_proc_the_exit_code_is_reported() -> None:
     with kept_elsewhere(sys.executable, "-c", "raise SystemExit(3)") as process:
         process.wait(HANG_S)
         assert process.stdout is not None
@@ -292,7 +292,7 @@ def test_without_pidfd_and_proc_a_command_that_ends_tells_how() -> None:
 
 
 def running(*words: str) -> list[str]:
-    """Return the command lines of this machine's processes that hold one of *words*."""
+    """Return the command lines of the machine's processes that contain one of *words*."""
     lines = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
@@ -300,7 +300,7 @@ def running(*words: str) -> list[str]:
     return [line for line in lines if any(word in line for word in words)]
 
 
-def test_the_kit_needs_grpcio_protobuf_and_numpy_alone(
+def test_the_kit_needs_only_grpcio_protobuf_and_numpy(
     faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path
 ) -> None:
     kit = tmp_path / "kit"
@@ -322,12 +322,12 @@ def test_the_kit_needs_grpcio_protobuf_and_numpy_alone(
         ("grpc://localhost:1", {"plan_timeout": 1.0}, "did you mean 'plan_timeout_s'"),
     ],
 )
-def test_a_name_that_cannot_be_meant(name: str, options: dict[str, float], words: str) -> None:
+def test_an_invalid_name_is_refused(name: str, options: dict[str, float], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         make_target(name, options)
 
 
-def test_where_nobody_answers_is_said_before_anything_is_run() -> None:
+def test_a_missing_server_is_reported_before_anything_is_run() -> None:
     planner = make_target("grpc://localhost:1", {})
     assert isinstance(planner, RemotePlanner)
     with pytest.raises(ConfigError, match=r"no server answered Describe; start it first"):
@@ -338,7 +338,7 @@ def test_where_nobody_answers_is_said_before_anything_is_run() -> None:
         planner.check()
 
 
-def test_a_server_that_somebody_else_starts(
+def test_a_server_started_by_another_process(
     faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path
 ) -> None:
     address = f"unix:{tmp_path}/socket"
@@ -346,7 +346,7 @@ def test_a_server_that_somebody_else_starts(
     planner = make_target(f"grpc://{address}", {})
     assert isinstance(planner, RemotePlanner)
     with subprocess.Popen(command, cwd=faulty.parent) as server:
-        assert len(plans(planner, road, scene)) == 2  # waits until it is there
+        assert len(plans(planner, road, scene)) == 2  # waits for the server
         planner.check()
         assert server.poll() is None
         memory = planner.start(road, scene, np.random.default_rng(0))

@@ -30,7 +30,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
 
 def sent_and_read(plan: Plan) -> Plan:
-    """Return what a reader makes of the bytes of *plan*."""
+    """Return *plan* after encoding and decoding."""
     return plan_of(messages.Plan.FromString(plan_message(plan).SerializeToString()))
 
 
@@ -43,7 +43,7 @@ def test_the_compiled_description_is_that_of_the_proto_file(tmp_path: Path) -> N
     assert now == shipped, "planner.proto has changed: make proto"
 
 
-def test_a_scene_comes_back_to_the_bit(scene: Scene) -> None:
+def test_a_scene_survives_the_wire_exactly(scene: Scene) -> None:
     for target in (0, 1):
         routes = tuple(("a", "b") if k == target else () for k in range(2))
         sent = Scene(scene.history, target, scene.movable, routes, {"c": "GrG"})
@@ -56,14 +56,14 @@ def test_a_scene_comes_back_to_the_bit(scene: Scene) -> None:
 
 
 @given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=8), st.floats(0.01, 1.0))
-def test_controls_come_back_to_the_bit(pairs: list[tuple[float, float]], dt_s: float) -> None:
+def test_controls_survive_the_wire_exactly(pairs: list[tuple[float, float]], dt_s: float) -> None:
     accel, steer = np.array(pairs).T
     plan = Controls(accel, steer, dt_s)
     assert same_plan(sent_and_read(plan), plan)
 
 
 @given(st.lists(st.tuples(*[numbers] * 4), min_size=1, max_size=8), st.floats(0.01, 1.0))
-def test_trajectories_come_back_to_the_bit(rows: list[tuple[float, ...]], dt_s: float) -> None:
+def test_trajectories_survive_the_wire_exactly(rows: list[tuple[float, ...]], dt_s: float) -> None:
     x, y, yaw, speed = np.array(rows).T
     plan = Trajectory(np.stack((x, y), axis=-1), yaw, speed, dt_s)
     assert same_plan(sent_and_read(plan), plan)
@@ -86,7 +86,7 @@ def test_trajectories_come_back_to_the_bit(rows: list[tuple[float, ...]], dt_s: 
         ),
     ],
 )
-def test_an_answer_that_is_no_plan(plan: object, problem: str) -> None:
+def test_an_answer_without_a_valid_plan(plan: object, problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         plan_of(plan)
 
@@ -121,7 +121,7 @@ def test_a_map_has_the_lanes_links_and_rights_of_way_of_the_net(road: RoadMap) -
     np.testing.assert_array_equal(outline[0], outline[-1])
 
 
-def test_a_method_of_the_whole_map_is_not_among_the_plain_values(road: RoadMap) -> None:
+def test_methods_of_the_road_map_are_missing_without_read_road(road: RoadMap) -> None:
     got = road_of(messages.Map.FromString(map_message(road).SerializeToString()))
     with pytest.raises(
         AttributeError, match=r"no 'locate', .* serve with read_road=RoadMap.read or --read-road"

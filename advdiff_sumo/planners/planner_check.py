@@ -52,7 +52,7 @@ def check_planner(planner: Planner, road: RoadMap, scene: Scene) -> list[str]:
 
 
 def problems_of(planner: Planner, road: RoadMap, scene: Scene) -> list[Problem]:
-    """Return the findings of :func:`check_planner`, each with the part of the contract that is broken."""
+    """Return the findings of :func:`check_planner`, and harmless ones, each with the part of the contract."""
     missing = [method for method in ("start", "plan") if not callable(getattr(planner, method, None))]
     if missing:
         return [Problem(Part.METHODS, f"it has no method {method}") for method in missing]

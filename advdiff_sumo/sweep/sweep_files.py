@@ -1,4 +1,4 @@
-"""Read and write a sweep's files: complete or absent, with a checksum, and with an error of its own for a full disk."""
+"""Read and write a sweep's files: complete or absent, with a checksum; a full disk has an error of its own."""
 
 from __future__ import annotations
 

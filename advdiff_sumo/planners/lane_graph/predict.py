@@ -96,7 +96,7 @@ def _poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Return centres and headings (N, T) after the distances *driven_m* (N, T) along the ways.
 
-    Beside junctions, a road user that moves sideways drifts on for about ``_DRIFT_S``, as in a lane change.
+    A road user that moves sideways, as in a lane change, drifts on for about ``_DRIFT_S``, except on junctions.
     """
     owner = np.array([way.other for way in ways], dtype=np.int64)
     s0, d0, error = (np.array([getattr(w, name) for w in ways]) for name in ("s_m", "d_m", "yaw_error_rad"))

@@ -1,4 +1,4 @@
-"""Generate speed profiles: IDM towards leaders, bends and stop lines at several desired speeds, and plain braking."""
+"""Generate speed profiles: IDM towards leaders, bends and stop lines at several speeds, and plain braking."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Propose lateral choices: keep the lane, shift in it, or change to the next one; quintics over a reference line."""
+"""Propose lateral choices: keep the lane, shift in it, or change it; quintics over a reference line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MIN_BLEND_M = 10.0
 # lateral offset (m) and heading error (rad) up to which the target counts as on the previous path:
 _NEAR = (4.5, 1.0)
 _SWUNG_WIDE = (10.0, 2.0)  # coming back after a bend that was too tight for it
-_STUCK_S = 6.0  # after standing so long off its route the target takes a detour
+_STUCK_S = 6.0  # after standing so long in a lane off its route, it takes a detour
 _SHIFTS_M = (0.6, -0.6)  # lateral offsets within the lane
 
 

@@ -1,4 +1,4 @@
-"""Drive the target by a trained traffic model: sample joint futures, score candidates made from them, choose one.
+"""Drive the target by a trained traffic model: sample joint futures, make candidates from them, choose one.
 
 A traffic model knows no route and no rules. The planner draws several futures. It prefers the candidate that
 stays on the road and the route and collides in no sample. Candidates are the target's motion in each sample,

@@ -17,7 +17,7 @@ from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 from advdiff_sumo.planners.lane_graph.rules import Duty, Rule, may_go, rule_at
 from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
-_RED_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0  # it does not stop for a signal if that needs more
+_RED_BRAKE_MPS2, _YELLOW_BRAKE_MPS2 = 6.0, 3.0  # the target does not stop for a signal if that needs more
 _PASSED_M = 1.5  # a slow target so far beyond a stop line can still stop for it
 _REACH_M, _REACH_S = 15.0, 7.0  # links are considered within the drive of 7 s, plus 15 m
 
@@ -78,9 +78,9 @@ def duties(
         if variant.s_m > beyond + state.front_m or distance > reach_m:
             continue
         rule = rule_at(geometry.road, link, scene.signals)
-        at_line = distance > (-_PASSED_M if state.speed_mps < 1.0 else -0.3)
+        before_line = distance > (-_PASSED_M if state.speed_mps < 1.0 else -0.3)
         junction_foes = _foes(geometry, scene, link, line, rule, ways, others)
-        if at_line and (
+        if before_line and (
             _must_stop(link, rule, distance, state, junction_foes, scene, others, ways, memory, options)
             or _exit_blocked(geometry, link, line, beyond, state, variant, others)
         ):
@@ -89,7 +89,7 @@ def duties(
             foes += junction_foes
             if junction_foes:
                 waiting_m.append(_waiting_position_m(geometry, link, line, front, junction_foes))
-        if at_line:
+        if before_line:
             passing.append((link, line))
     return Duties(stop, tuple(waiting_m[:2]), tuple(foes), tuple(passing))
 

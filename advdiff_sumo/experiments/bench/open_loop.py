@@ -145,7 +145,7 @@ MODELS: Mapping[str, ComparedModel] = {
         "… with the closed-loop decoder", "closed-loop.safetensors", _diffusion, "far"
     ),
     "together": ComparedModel(
-        "… made to fit together", "traffic.safetensors", partial(_diffusion, fitted=True)
+        "… made to fit together", "traffic.safetensors", partial(_diffusion, refines=True)
     ),
 }
 

@@ -166,7 +166,7 @@ def attack_example(options: ModelOptions, steps: int) -> Example:
 
 
 def _placed(steps: int | str) -> list[tuple[int | str, ...]]:
-    """Return the shapes of a ``Placed``."""
+    """Return the shapes of an ``AttackStates``."""
     everybody = [("A", 2), ("A",), ("A", steps, 2), ("A", steps), ("A", steps)]
     edges = [(1, "R", "S"), (1, "R", "S", 7), (1, "R", 3, "S"), (1, "R", 3, "S")]
     return [*everybody, ("R", 2), ("R", 4), ("R",), *edges]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.attack_costs import COSTS, encounter
-from advdiff_sumo.diffusion.bodies import Placed, met_by
+from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import Objective
 from advdiff_sumo.diffusion.machine_code import MachineCode, machine_code, package_for
@@ -44,7 +44,7 @@ class Natural:
 
 @dataclass(frozen=True)
 class AttackScene:
-    """Attackers of one scene, of which B samples are drawn at once.
+    """Attackers of one scene, for B samples at once.
 
     Attributes:
         decoder: from latents to futures.
@@ -69,10 +69,10 @@ class CostsOnTensors(nn.Module):
     def forward(self, free: Sequence[Tensor], held: Sequence[Tensor]) -> tuple[Tensor]:
         """Return costs (B, R) of the attackers' positions (B, R, T, 2), headings and speeds (B, R, T) in *free*.
 
-        *held* are the weights (6,) of the kinds in ``COSTS``, then the parts of a ``Placed``.
+        *held* are the weights (6,) of the kinds in ``COSTS``, then the parts of an ``AttackStates``.
         """
         (xy, yaw, speed), (kinds, *parts) = free, held
-        return (costs(Rollout(xy, yaw, speed, speed, speed), Placed.from_tensors(parts), kinds),)
+        return (costs(Rollout(xy, yaw, speed, speed, speed), AttackStates.from_tensors(parts), kinds),)
 
 
 def plain_objective(kind: str, scene: AttackScene, compiled: bool = True) -> Objective:
@@ -87,13 +87,13 @@ def attack_losses(kind: str, scene: AttackScene, compiled: bool = True) -> Calla
     Those are overlap with vehicles other than the target, leaving the road, and low likelihood under the prior.
     """
     rows, whole = scene.rows, scene.context.prior
-    cost_of = _costs_of(kind, Placed.of(scene.batch, rows, scene.natural.rollout), compiled)
+    cost_of = _costs_of(kind, AttackStates.of(scene.batch, rows, scene.natural.rollout), compiled)
     prior = Gaussian(whole.mean[:, rows], whole.logvar[:, rows])
     repeated = cache(scene.batch.repeat)
 
     def value(latents: Tensor) -> Tensor:
         z = scene.codec.unscale(latents[:, rows, None])[:, :, 0]
-        return cost_of(_futures(scene, z, repeated)) + PRIOR_WEIGHT * surprise(prior, z)
+        return cost_of(_futures(scene, z, repeated)) + PRIOR_WEIGHT * prior_distance(prior, z)
 
     return value
 
@@ -108,7 +108,7 @@ def _compiled_costs() -> MachineCode | None:
     return machine_code(costs_package(), CostsOnTensors())
 
 
-def _costs_of(kind: str, placed: Placed, compiled: bool) -> Callable[[Rollout], Tensor]:
+def _costs_of(kind: str, placed: AttackStates, compiled: bool) -> Callable[[Rollout], Tensor]:
     kinds = placed.xy.new_tensor([float(name == kind) for name in COSTS])
     here = placed.xy.device.type == "cpu" and placed.xy.dtype == torch.float32
     code = _compiled_costs() if compiled and here else None
@@ -118,9 +118,9 @@ def _costs_of(kind: str, placed: Placed, compiled: bool) -> Callable[[Rollout], 
     return lambda rollout: code([rollout.xy, rollout.yaw, rollout.speed], held)[0]
 
 
-def costs(rollout: Rollout, placed: Placed, kind: str | Tensor) -> Tensor:
+def costs(rollout: Rollout, placed: AttackStates, kind: str | Tensor) -> Tensor:
     """Return costs (B, R) of *kind*: a name, or a tensor (6,) with a weight for each kind."""
-    met = met_by(rollout, placed)
+    met = attack_distances(rollout, placed)
     seen = encounter(rollout, met.gap, placed)
     if isinstance(kind, str):
         aim = COSTS[kind](seen)
@@ -140,6 +140,6 @@ def _futures(scene: AttackScene, z: Tensor, repeated: Callable[[int], SceneBatch
     return scene.decoder.some(z, h, batch, scene.rows, natural.steps, trace)
 
 
-def surprise(prior: Gaussian, z: Tensor) -> Tensor:
+def prior_distance(prior: Gaussian, z: Tensor) -> Tensor:
     """Return half the squared Mahalanobis distance (B, A) of *z* (B, A, Z) from the prior's mean."""
     return 0.5 * ((z - prior.mean).square() * torch.exp(-prior.logvar)).sum(-1)

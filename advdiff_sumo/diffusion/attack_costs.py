@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.bodies import Placed
+from advdiff_sumo.diffusion.bodies import AttackStates
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.geometry import into_frame
 from advdiff_sumo.models.model_options import MODEL_STEP_S
@@ -47,7 +47,7 @@ class SeenAttack:
     time_s: Tensor
 
 
-def encounter(rollout: Rollout, gap: Tensor, placed: Placed) -> SeenAttack:
+def encounter(rollout: Rollout, gap: Tensor, placed: AttackStates) -> SeenAttack:
     """Return *rollout* (B, R, T) of attackers, at *gap* (B, R, T), in the frame of the target of *placed*."""
     xy, yaw, speed = placed.xy[0], placed.yaw[0], placed.speed[0]
     offset = into_frame(rollout.xy, xy, yaw.expand(rollout.yaw.shape))

@@ -24,10 +24,10 @@ from advdiff_sumo.diffusion.attack import (
     attack_losses,
     costs,
     plain_objective,
-    surprise,
+    prior_distance,
 )
 from advdiff_sumo.diffusion.attack_costs import COSTS
-from advdiff_sumo.diffusion.bodies import Placed
+from advdiff_sumo.diffusion.bodies import AttackStates
 from advdiff_sumo.diffusion.exported_step import scene_of_tensors, step_sizes
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import Objective, Sloped, autograd_slope
@@ -53,12 +53,12 @@ class AttackOnTensors(nn.Module):
         """Return losses (B, R) of the attackers' scaled latents (B, R, Z) in *free*; *held* are :func:`tensors_of`."""
         kinds, scale, offset, mean, logvar, h, *around = held
         rows, present, own_present, edges, senders, *parts = around
-        placed, z = Placed.from_tensors(parts), free[0] * scale + offset
+        placed, z = AttackStates.from_tensors(parts), free[0] * scale + offset
         given = placed.own_pose, placed.own_size, own_present, placed.moved
         own = scene_of_tensors(*(part.expand(z.shape[0], *part.shape) for part in given))
         batch = scene_of_tensors(own.pose, own.size, present[None], own.moved)
         rollout = self._roll(z, h, Surroundings(batch, own, rows), edges, senders)
-        return (costs(rollout, placed, kinds) + PRIOR_WEIGHT * surprise(Gaussian(mean, logvar), z),)
+        return (costs(rollout, placed, kinds) + PRIOR_WEIGHT * prior_distance(Gaussian(mean, logvar), z),)
 
     def _roll(self, z: Tensor, h: Tensor, around: Surroundings, edges: Tensor, senders: Tensor) -> Rollout:
         memory, motion = self.decoder.begin(z, h.expand(z.shape[0], *h.shape)), motion_now(around.own)
@@ -145,5 +145,5 @@ def tensors_of(kind: str, scene: AttackScene) -> list[Tensor]:
     xy, (yaw, speed) = trace.motion[:, 0, :, :2], trace.motion[:, 0, :, 2:].unbind(-1)
     edges = torch.stack(scene.decoder.network.edges((xy, yaw, speed), rows), dim=1)
     seen = rows, scene.batch.present[0], scene.batch.present[0, rows], edges, trace.senders[:, :, 0]
-    placed = Placed.of(scene.batch, rows, scene.natural.rollout)
+    placed = AttackStates.of(scene.batch, rows, scene.natural.rollout)
     return [kinds, *codec, *prior, context.h[0, rows], *seen, *placed.tensors()]

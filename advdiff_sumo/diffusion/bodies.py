@@ -18,7 +18,7 @@ from advdiff_sumo.models.road_edges import RoadEdges
 
 
 @dataclass(frozen=True)
-class Placed:
+class AttackStates:
     """Natural futures of all agents and present states of R attackers, in one scene; target in row 0.
 
     Attributes:
@@ -44,20 +44,20 @@ class Placed:
     edges: RoadEdges
 
     @staticmethod
-    def of(batch: SceneBatch, rows: Tensor, natural: Rollout) -> Placed:
+    def of(batch: SceneBatch, rows: Tensor, natural: Rollout) -> AttackStates:
         """Return the states in the only scene of *batch*, with attackers *rows* (R,) and *natural* futures."""
         agents, own = torch.arange(batch.agents, device=rows.device), batch.rows_of(rows)
         others = (agents != 0) & ~torch.isin(agents, rows)
         states = natural.xy[0], natural.yaw[0], natural.speed[0]
-        return Placed(
+        return AttackStates(
             batch.size[0], others, *states, own.size[0], own.pose[0], own.moved[0], RoadEdges.of(own)
         )
 
     @staticmethod
-    def from_tensors(parts: Sequence[Tensor]) -> Placed:
+    def from_tensors(parts: Sequence[Tensor]) -> AttackStates:
         """Return the object with these :meth:`tensors`."""
         size, others, xy, yaw, speed, own_size, own_pose, moved, *edges = parts
-        return Placed(size, others, xy, yaw, speed, own_size, own_pose, moved, RoadEdges(*edges))
+        return AttackStates(size, others, xy, yaw, speed, own_size, own_pose, moved, RoadEdges(*edges))
 
     def tensors(self) -> tuple[Tensor, ...]:
         """Return all parts, those of the road edges last."""
@@ -66,7 +66,7 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Met:
+class AttackDistances:
     """Distances and overlaps of attackers.
 
     Attributes:
@@ -80,7 +80,7 @@ class Met:
     off: Tensor
 
 
-def met_by(rollout: Rollout, placed: Placed) -> Met:
+def attack_distances(rollout: Rollout, placed: AttackStates) -> AttackDistances:
     """Return distances and overlaps of the attackers of *rollout* (B, R, T), differentiable in it."""
     mine, radius = discs(rollout.xy, rollout.yaw, placed.own_size[:, None].expand(*rollout.yaw.shape, 2))
     yours, reach = discs(placed.xy, placed.yaw, placed.size[:, None].expand(*placed.yaw.shape, 2))
@@ -92,4 +92,4 @@ def met_by(rollout: Rollout, placed: Placed) -> Met:
     scenes = rollout.yaw.shape[0]  # not len(), which compilation would turn into a constant
     size, pose = (part.expand(scenes, -1, -1) for part in (placed.own_size, placed.own_pose))
     off = beyond_edge(rollout, size, pose, placed.edges.expand(scenes)).sum(-1) * placed.moved
-    return Met(gap, overlap, off)
+    return AttackDistances(gap, overlap, off)

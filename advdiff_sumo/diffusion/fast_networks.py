@@ -77,10 +77,7 @@ class RewardOnTensors(nn.Module):
 
 
 def fast_reward(reward: RewardModel, compiled: bool = True) -> Callable[[RewardState], Sloped]:
-    """Return a function from a state to Q (B,) of actions (B, A, Z), with its gradient.
-
-    *compiled*: by machine code, if any, which copies the present weights of *reward*.
-    """
+    """Return a function from a state to Q (B,) of actions (B, A, Z), with gradient; *compiled* copies the weights."""
     code = machine_code(reward_package(reward.options), RewardOnTensors(reward)) if compiled else None
 
     def condition(state: RewardState) -> Sloped:

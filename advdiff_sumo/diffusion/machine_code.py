@@ -1,9 +1,8 @@
 """Machine code of networks' methods and of their gradients, compiled by AOTInductor without weights.
 
 ``tools/build_machine_code.py`` compiles it for the sizes of the shipped weights, one PyTorch version, and x86-64 with
-AVX2. With other sizes, versions or machines the networks themselves run, in two to three times the time. The code does
-not check the shapes of its arguments: each package states which arguments it supports, and all others are passed to
-the network.
+AVX2. Otherwise the networks themselves run, in two to three times the time. The code does not check the shapes of its
+arguments: each package states which it supports, and all others are passed to the network.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ Decode: TypeAlias = Callable[[Tensor, Context, SceneBatch], Rollout]
 
 
 @dataclass(frozen=True)
-class Together:
+class RefinementOptions:
     """Settings of the refinement.
 
     Attributes:
@@ -50,7 +50,7 @@ class Together:
     keep: float = 0.1
 
 
-def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
+def fixed_neighbours_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
     """Return an exact decoder whose gradient lacks the effect of a vehicle's latent on other vehicles.
 
     This gradient takes a fraction of the time of the exact one.
@@ -65,7 +65,7 @@ def held_decode(codec: LatentCodec, decoder: FastDecoder) -> Decode:
     return decode
 
 
-def misfit(rollout: Rollout, batch: SceneBatch, how: Together) -> Tensor:
+def overlap_penalty(rollout: Rollout, batch: SceneBatch, how: RefinementOptions) -> Tensor:
     """Return the penalty (B, A) of futures: overlap with other agents and with the road edge.
 
     Boxes are enlarged a little, so that a penalty of 0 means a gap, and because discs leave out the corners. Overlap is
@@ -110,8 +110,8 @@ def _until_contact(overlap: Tensor) -> Tensor:
     return torch.where(begun <= _FIRST, overlap, 0.0)
 
 
-def together(
-    drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together | None = None
+def refine_samples(
+    drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: RefinementOptions | None = None
 ) -> Tensor:
     """Return samples (B, A, C, L) near *drawn* whose futures collide less.
 
@@ -122,7 +122,7 @@ def together(
         batch: the scenes; parked vehicles and agents without a plan keep their samples.
         how: weights and steps.
     """
-    how = how or Together()
+    how = how or RefinementOptions()
     refined, x, origin, adam = drawn.clone(), drawn, drawn, Adam(how.rate)
     rows = torch.arange(batch.scenes, device=drawn.device)
     for step in range(1, how.steps + 1):
@@ -142,13 +142,13 @@ def together(
 
 
 def _slope(
-    x: Tensor, drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: Together
+    x: Tensor, drawn: Tensor, decode: Decode, context: Context, batch: SceneBatch, how: RefinementOptions
 ) -> tuple[Tensor, Tensor]:
     """Return which scenes (B,) have a penalty, and the gradient (B, A, C, L) of the objective."""
     free = (batch.moved & ~batch.parked).to(x.dtype)
     with torch.enable_grad():
         at = x.detach().requires_grad_(True)
-        each = misfit(decode(at, context, batch), batch, how) * free
+        each = overlap_penalty(decode(at, context, batch), batch, how) * free
         gradient = torch.autograd.grad(each.sum(), at)[0].nan_to_num()
     gradient = (gradient + 2.0 * how.keep * (x - drawn)) * free[..., None, None]
     return each.detach().sum(1) > 0.0, gradient

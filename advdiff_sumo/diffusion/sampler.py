@@ -127,7 +127,7 @@ def sample(
 
 
 @dataclass(frozen=True)
-class Foresight:
+class StepPrediction:
     """A prediction of the network during sampling.
 
     Attributes:
@@ -145,14 +145,14 @@ class Foresight:
     alpha: float
 
 
-def foresee(
+def predict_at_step(
     noise_of: Noise,
     start: Tensor,
     schedule: NoiseSchedule,
     sampling: Sampling,
     generator: torch.Generator,
     done: int,
-) -> Foresight:
+) -> StepPrediction:
     """Return the network's prediction after *done* natural steps.
 
     Gradients flow through the last prediction only.
@@ -167,4 +167,4 @@ def foresee(
     k = ladder[done]
     noise = noise_of(x, k)
     clean, _ = transition(x, noise, k, 0, schedule, sampling)
-    return Foresight(clean, noise, x, k, float(schedule.alpha[k]))
+    return StepPrediction(clean, noise, x, k, float(schedule.alpha[k]))

@@ -15,7 +15,7 @@ from advdiff_sumo.models.codec import CodecName, LatentCodec, TrajectoryCodec
 from advdiff_sumo.models.denoiser import Denoiser
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.reward import RewardModel
-from advdiff_sumo.models.stored import below, fill, read_stored, stored_options, write_stored
+from advdiff_sumo.models.stored import fill, read_stored, stored_options, with_prefix, write_stored
 from advdiff_sumo.models.traffic import TrafficModel
 
 FORMAT = "advdiff-weights-1"
@@ -115,7 +115,7 @@ def load_bundle(path: Path) -> Bundle:
     header, tensors = read_stored(path, FORMAT, missing, AGAIN)
     bundle = new_bundle(BundleOptions.parse(stored_options(header, path, AGAIN), f"{path}: its options"))
     for name, network in bundle.modules().items():
-        fill(network, below(tensors, f"{name}."), path, "its own options")
+        fill(network, with_prefix(tensors, f"{name}."), path, "its own options")
     return replace(bundle, stages=tuple(header.get("stages", ())))
 
 

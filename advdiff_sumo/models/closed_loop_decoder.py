@@ -21,7 +21,7 @@ from advdiff_sumo.models.geometry import RELATIVE_FEATURES, into_frame
 from advdiff_sumo.models.lane_attention import LaneAttention, LanePieces
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
-from advdiff_sumo.models.perceptron import from_nothing
+from advdiff_sumo.models.perceptron import zero_output_perceptron
 from advdiff_sumo.models.proximity import BOX_POINTS, PAIR_FEATURES, box_clearance, pair_features
 from advdiff_sumo.models.road_edges import RoadEdges
 
@@ -48,8 +48,8 @@ class ClosedLoopDecoder(Decoder):
         super().__init__(options)
         width = options.hidden
         self.lanes = LaneAttention(options, width + _MOTION)
-        self.clearance = from_nothing(BOX_POINTS, options.message, width)
-        self.pairs = from_nothing(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
+        self.clearance = zero_output_perceptron(BOX_POINTS, options.message, width)
+        self.pairs = zero_output_perceptron(RELATIVE_FEATURES + PAIR_FEATURES, options.edge, options.message)
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
         """Return the surroundings of the base class, with lane pieces and road edges."""

@@ -22,7 +22,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.driving_situation import SITUATION_FEATURES
 from advdiff_sumo.models.interaction import InteractionNet
 from advdiff_sumo.models.model_options import GROUPS, ModelOptions
-from advdiff_sumo.models.perceptron import from_nothing, silent
+from advdiff_sumo.models.perceptron import zero_initialised, zero_output_perceptron
 
 STEP_WIDTH = 64
 
@@ -94,7 +94,7 @@ class Coupling(nn.Module):
         self.known = nn.Linear(options.latent + options.hidden, width)
         self.step = nn.Linear(STEP_WIDTH, width)
         self.net = InteractionNet(width, options, options.denoiser_layers)
-        self.out = silent(nn.Linear(width, options.hidden))
+        self.out = zero_initialised(nn.Linear(width, options.hidden))
 
     def prepare(self, context: Context) -> tuple[Tensor, Tensor]:
         """Return embedded conditions (B, A, M) and embedded relative poses (layers, B, A, A, M)."""
@@ -140,7 +140,7 @@ class Denoiser(nn.Module):
         channels, length = shape
         full, half, quarter = options.channels
         self.situation = (
-            from_nothing(SITUATION_FEATURES, options.message, options.hidden, nn.SiLU)
+            zero_output_perceptron(SITUATION_FEATURES, options.message, options.hidden, nn.SiLU)
             if options.denoiser_situation
             else None
         )
@@ -160,7 +160,7 @@ class Denoiser(nn.Module):
             (ResidualBlock(quarter + half, half, width), ResidualBlock(half + full, full, width))
         )
         self.norm = nn.GroupNorm(GROUPS, full)
-        self.out = silent(nn.Conv1d(full, channels, 3, padding=1))
+        self.out = zero_initialised(nn.Conv1d(full, channels, 3, padding=1))
 
     def forward(self, x: Tensor, k: Tensor, context: Context) -> Tensor:
         """Return the noise (B, A, C, L) predicted in latents or trajectories *x* (B, A, C, L) at steps *k* (B,), 1 … K.

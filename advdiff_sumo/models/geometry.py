@@ -31,9 +31,8 @@ RELATIVE_FEATURES = 9
 def relative_features(xy: Tensor, yaw: Tensor, speed: Tensor, rows: Tensor | None = None) -> Tensor:
     """Return relative states of agents at *xy* (B, A, 2), with *yaw* and *speed* (B, A), as seen by *rows* (R,).
 
-    *rows* None: by all. Independent of the world's frame: entry [b, i, j] of (B, R, A, 9) is agent j in i's frame:
-    position / 20 m, exp(−distance / 10 m), unit heading, velocity, velocity relative to i along i's heading, and i's
-    own speed, all speeds / 10 m/s.
+    *rows* None: by all. Entry [b, i, j] of (B, R, A, 9) is agent j in i's frame: position / 20 m, exp(−range / 10 m),
+    unit heading, and, all / 10 m/s, velocity, velocity along i's heading relative to i, and i's own speed.
     """
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     place, ci, si, own = (x if rows is None else x[:, rows] for x in (xy, cos, sin, speed))

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.geometry import from_segments
 from advdiff_sumo.models.model_options import LANES_OF, PIECE_FEATURES, PIECE_POINTS, ModelOptions
-from advdiff_sumo.models.perceptron import perceptron, silent
+from advdiff_sumo.models.perceptron import perceptron, zero_initialised
 
 NEAREST = 9
 """Lane pieces that a vehicle attends to."""
@@ -96,7 +96,7 @@ class LaneAttention(nn.Module):
         self.piece = perceptron(2 * PIECE_POINTS + _CLOSEST + PIECE_FEATURES, width, width, ends_in_relu=True)
         self.query = nn.Linear(query, width)
         self.key_value = nn.Linear(width, 2 * width)
-        self.out = silent(nn.Linear(width, options.hidden))
+        self.out = zero_initialised(nn.Linear(width, options.hidden))
 
     def forward(self, state: Tensor, pieces: LanePieces) -> Tensor:
         """Return (B, R, D) for queries from *state* (B, R, Q) to *pieces* of ``LanePieces.seen_from``."""

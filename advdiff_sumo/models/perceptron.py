@@ -17,16 +17,16 @@ def perceptron(*widths: int, ends_in_relu: bool = False) -> nn.Sequential:
     return nn.Sequential(*(layers if ends_in_relu else layers[:-1]))
 
 
-def silent(layer: _Layer) -> _Layer:
+def zero_initialised(layer: _Layer) -> _Layer:
     """Return *layer* with all weights set to 0."""
     for weight in layer.parameters():
         nn.init.zeros_(weight)
     return layer
 
 
-def from_nothing(
+def zero_output_perceptron(
     inputs: int, hidden: int, outputs: int, activation: Callable[[], nn.Module] = nn.ReLU
 ) -> nn.Sequential:
     """Return a perceptron with one hidden layer, whose output is initialised to 0."""
-    last = silent(nn.Linear(hidden, outputs))  # first: a seed gives the same weights as before
+    last = zero_initialised(nn.Linear(hidden, outputs))  # first: a seed gives the same weights as before
     return nn.Sequential(nn.Linear(inputs, hidden), activation(), last)

@@ -13,37 +13,37 @@ from advdiff_sumo.models.losses import DISCS
 from advdiff_sumo.models.neighbours import Neighbours
 from advdiff_sumo.models.road_edges import RoadEdges
 
-CARRIED_S = (0.0, 0.5, 1.0, 1.5, 2.5)
+EXTRAPOLATION_S = (0.0, 0.5, 1.0, 1.5, 2.5)
 """Times to which all agents are extrapolated at constant velocity."""
-PAIR_FEATURES = len(CARRIED_S) + 2
+PAIR_FEATURES = len(EXTRAPOLATION_S) + 2
 BOX_POINTS = 2 * DISCS
 _GAP_M, _HEADWAY_S, _BRAKE_MPS2, _ASIDE_M = 2.0, 1.0, 8.0, 0.3
 _LEAST_M, _LEAST_MPS = 0.5, 1.0
 _MOST_CLEAR_M = 5.0
 _ALONG = [2.0 * k / (DISCS - 1) - 1.0 for k in range(DISCS)]
 _DISC_PRODUCTS = [(1.0, b * b, a * a, 2.0 * b, -2.0 * a, -2.0 * a * b) for a, b in product(_ALONG, _ALONG)]
-"""Coefficients of the six terms of :func:`carried_gaps` for disc a of the row and b of the other, both −1 … 1."""
+"""Coefficients of the six terms of :func:`extrapolated_gaps` for disc a of the row and b of the other, both −1 … 1."""
 
 
 def pair_features(near: Neighbours) -> list[Tensor]:
     """Return 7 features (B, R, K) of the proximity of neighbours to the rows.
 
-    The first five are exp(−gap / 2 m) between the discs of both vehicles at ``CARRIED_S``. The last two are 0 unless
+    The first five are exp(−gap / 2 m) between the discs at ``EXTRAPOLATION_S``. The last two are 0 unless
     the neighbour is ahead in the corridor of the row: exp(−headway / 1 s), and the deceleration that just avoids
     contact, / 8 m/s² and at most 2.
     """
-    close = torch.exp(-carried_gaps(near).clamp(min=-_GAP_M) / _GAP_M)
+    close = torch.exp(-extrapolated_gaps(near).clamp(min=-_GAP_M) / _GAP_M)
     return [*close.unbind(0), *_following(near)]
 
 
-def carried_gaps(near: Neighbours) -> Tensor:
-    """Return (T, B, R, K) gaps in metres between discs at ``CARRIED_S``; negative for overlap.
+def extrapolated_gaps(near: Neighbours) -> Tensor:
+    """Return (T, B, R, K) gaps in metres between discs at ``EXTRAPOLATION_S``; negative for overlap.
 
     The squared distance of disc a of the row and disc b of the other is linear in six terms of the pair. With *p* the
     other's position, *u* its unit heading, *r* the distance of its outermost discs from its centre, and *own* that of
     the row, it is p² + r² b² + own² a² + 2 r b (p · u) − 2 own a pₓ − 2 own r a b uₓ.
     """
-    times = near.cos.new_tensor(CARRIED_S)[:, None, None, None]
+    times = near.cos.new_tensor(EXTRAPOLATION_S)[:, None, None, None]
     x = torch.addcmul(near.ahead_m, times, near.speed_mps * near.cos - near.own_speed_mps)
     y = torch.addcmul(near.left_m, times, near.speed_mps * near.sin)  # (T, B, R, K)
     reach = (near.half_length_m - near.half_width_m).clamp(min=0.0)

@@ -20,9 +20,8 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
     """Return the path of shipped networks.
 
     Args:
-        name: "traffic": all networks of the paper's architecture; "closed-loop": the same with the closed-loop decoder
-            and the far map view; "simnet"; "traj2traj"; "failures": the prior of
-            ``models.failure_predictor``.
+        name: "traffic": networks of the paper's architecture; "closed-loop": with closed-loop decoder and far map view;
+            "simnet"; "traj2traj"; "failures": the prior of ``models.failure_predictor``.
     """
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
 

@@ -22,7 +22,14 @@ from advdiff_sumo.models.context import ContextEncoder
 from advdiff_sumo.models.decoder import Forced, Rollout, State, motion_now, rollout_of
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.perceptron import perceptron
-from advdiff_sumo.models.stored import below, fill, read_stored, stored_format, stored_options, write_stored
+from advdiff_sumo.models.stored import (
+    fill,
+    read_stored,
+    stored_format,
+    stored_options,
+    with_prefix,
+    write_stored,
+)
 from advdiff_sumo.models.tensor_bicycle import controls, step
 
 FORMAT = "advdiff-simnet-1"
@@ -117,7 +124,7 @@ def begin_simnet(init: Path | None, options: ModelOptions, seed: int = 0) -> Sim
     header, tensors = read_stored(init, BUNDLE_FORMAT, "name weights of the stage traffic with --init", AGAIN)
     model = stored_options({"options": stored_options(header, init, _AGAIN).get("model")}, init, _AGAIN)
     simnet = new_simnet(ModelOptions.parse(model, f"{init}: its options"), seed)
-    encoder = {f"encoder.{name}": value for name, value in below(tensors, "traffic.encoder.").items()}
+    encoder = {f"encoder.{name}": value for name, value in with_prefix(tensors, "traffic.encoder.").items()}
     head = {f"head.{name}": value for name, value in simnet.head.state_dict().items()}
     fill(simnet, {**encoder, **head}, init, "its own options")
     return simnet

@@ -90,7 +90,7 @@ def stored_options(header: Mapping[str, Any], path: Path, remedy: str) -> dict[s
     return options
 
 
-def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def with_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """Return the *tensors* whose names begin with *prefix*, named without it."""
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.sample_refinement import Together, misfit
+from advdiff_sumo.diffusion.sample_refinement import RefinementOptions, overlap_penalty
 from advdiff_sumo.diffusion.sampler import Sampling
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -90,8 +90,8 @@ class DecoderStage(BundleStage):
 
     def _terms(self, known: Rollout, free: Rollout, before: Rollout, batch: SceneBatch) -> dict[str, Tensor]:
         options, who = self.options, batch.moved & ~batch.parked
-        how = Together(vehicles=options.vehicles, road=options.road)
-        fits = misfit(before, batch, how) < _FAULTY
+        how = RefinementOptions(vehicles=options.vehicles, road=options.road)
+        fits = overlap_penalty(before, batch, how) < _FAULTY
         there = batch.present[..., None].expand(before.yaw.shape)
         same = reconstruction(free, replace(batch, future=before.states(), future_valid=there)).mean(-1)
         terms = {

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, surprise
+from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, prior_distance
 from advdiff_sumo.diffusion.attack_costs import nearest
 from advdiff_sumo.diffusion.guides import direction
 from advdiff_sumo.models.batch import SceneBatch
@@ -94,7 +94,7 @@ def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, 
 def _cost(bundle: Bundle, experience: Experience, context: Context, steps: int) -> tuple[Tensor, Tensor]:
     path = decoded(bundle, experience.action, context, experience.state, experience.target, steps)
     cost, near = approach(path, experience.state, experience.target)
-    unlikely = surprise(context.prior, bundle.codec.unscale(experience.action[:, :, None])[:, :, 0])
+    unlikely = prior_distance(context.prior, bundle.codec.unscale(experience.action[:, :, None])[:, :, 0])
     return cost + PRIOR_WEIGHT * torch.where(near, unlikely, 0.0).sum(1), near
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.sampler import Sampling, foresee
+from advdiff_sumo.diffusion.sampler import Sampling, predict_at_step
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
@@ -114,13 +114,13 @@ class JointStage(BundleStage):
             drawn = context.prior.sample(generator)
             return [(self.bundle.traffic.decoder(drawn, context.h, batch), 1.0)], unmoved
         if options.samples == "denoiser":
-            rollout, weight, strayed = self._foreseen(_fixed(context), batch, generator)
+            rollout, weight, strayed = self._predicted(_fixed(context), batch, generator)
             return [(rollout, weight)], strayed
         with torch.no_grad():
             drawn = diffused(self.bundle, context, Sampling(options.sampling_steps), generator)
         return [(self.bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
 
-    def _foreseen(
+    def _predicted(
         self, context: Context, batch: SceneBatch, generator: torch.Generator
     ) -> tuple[Rollout, float, Tensor]:
         """Return the denoiser's decoded prediction at a random step, its weight and anchor loss; the decoder is fixed.
@@ -132,14 +132,14 @@ class JointStage(BundleStage):
         done = int(torch.randint(sampling.steps, (), generator=generator))
         shape = (*context.h.shape[:2], *bundle.codec.shape)
         start = torch.randn(shape, generator=generator).to(context.h)
-        foreseen = foresee(
+        prediction = predict_at_step(
             noise_at(bundle.denoiser, context), start, self.schedule, sampling, generator, done
         )
         with torch.no_grad():
-            before = noise_at(self._began, context)(foreseen.x, foreseen.k)
-        strayed = masked_mean((foreseen.noise - before).square().flatten(2).mean(-1), batch.moved)
+            before = noise_at(self._began, context)(prediction.x, prediction.k)
+        strayed = masked_mean((prediction.noise - before).square().flatten(2).mean(-1), batch.moved)
         with _untrained(bundle.traffic.decoder):
-            return bundle.codec.decode(foreseen.clean, context, batch), foreseen.alpha, strayed
+            return bundle.codec.decode(prediction.clean, context, batch), prediction.alpha, strayed
 
 
 def _fixed(context: Context) -> Context:

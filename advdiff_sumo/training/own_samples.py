@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.sample_refinement import Together, misfit
+from advdiff_sumo.diffusion.sample_refinement import RefinementOptions, overlap_penalty
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.losses import masked_mean
@@ -36,11 +36,11 @@ def sample_judge(compiled: bool) -> Callable[[Rollout, SceneBatch, DecoderOption
 def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> dict[str, Tensor]:
     """Return the weighted penalties of sampled futures *free*, by name."""
     who = batch.moved & ~batch.parked
-    how = Together(vehicles=options.vehicles, road=options.road)
+    how = RefinementOptions(vehicles=options.vehicles, road=options.road)
     way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
     ratio = way / truth.clamp(min=1.0)
     return {
-        "misfit": masked_mean(misfit(free, batch, how), who),
+        "overlap_penalty": masked_mean(overlap_penalty(free, batch, how), who),
         "lane": options.lane * masked_mean(lane_distance(free, batch), who),
         "following": options.following * masked_mean(following_penalty(free, batch), who),
         "progress": options.progress * (ratio - 1.0).square(),

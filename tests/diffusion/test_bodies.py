@@ -10,7 +10,7 @@ from torch import Tensor
 
 from advdiff_sumo.diffusion.attack import CostsOnTensors, costs_package
 from advdiff_sumo.diffusion.attack_costs import COSTS
-from advdiff_sumo.diffusion.bodies import Placed, met_by
+from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.machine_code import machine_code, slope_of
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
@@ -48,9 +48,9 @@ def crowd(edges: bool) -> SceneBatch:
 @pytest.mark.parametrize("rows", [[2], [4, 1], [1, 2, 3, 4, 5, 6]])
 def test_values_and_gradients(rows: list[int], edges: bool) -> None:
     """With somebody on foot, with edges and without, and where nobody else is there."""
-    placed = Placed.of(crowd(edges), torch.tensor(rows), futures(1, 7, 1))
+    placed = AttackStates.of(crowd(edges), torch.tensor(rows), futures(1, 7, 1))
     driven = futures(3, len(rows), 2)
-    met = met_by(driven, placed)
+    met = attack_distances(driven, placed)
     assert (met.off > 0.0).any() == edges
     assert (met.overlap > 0.0).any() == (len(rows) < 6)
     code = machine_code(costs_package(), CostsOnTensors())
@@ -72,7 +72,9 @@ def test_in_line_the_slope_is_the_mean_of_all_nearest_discs() -> None:
     driven.xy[:] = torch.tensor([0.0, 3.0], dtype=torch.float64)
     yaw = torch.zeros_like(driven.yaw).requires_grad_()
     xy = driven.xy.requires_grad_()
-    met = met_by(Rollout(xy, yaw, yaw, yaw, yaw), Placed.of(batch, torch.tensor([1]), natural))
+    met = attack_distances(
+        Rollout(xy, yaw, yaw, yaw, yaw), AttackStates.of(batch, torch.tensor([1]), natural)
+    )
     by_xy, by_yaw = torch.autograd.grad(met.gap.sum(), (xy, yaw))
     torch.testing.assert_close(met.gap.detach(), torch.full((1, 1, STEPS), 1.1).double(), atol=1e-6, rtol=0.0)
     torch.testing.assert_close(by_xy, torch.tensor([0.0, 1.0]).double().expand_as(by_xy))

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack, encounter
-from advdiff_sumo.diffusion.bodies import Placed, met_by
+from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import SamplingStep
 from advdiff_sumo.models.decoder import Rollout
@@ -126,8 +126,8 @@ def between(attacker: Rollout, target: Rollout) -> SeenAttack:
     edges = RoadEdges.between(nowhere, nowhere, torch.zeros(1, 1, 1, dtype=torch.bool))
     states = (torch.cat((a[0], b[0])) for a, b in zip(_motion(target), _motion(attacker), strict=True))
     pose, moved = torch.zeros(1, 4, dtype=torch.float64), torch.ones(1, dtype=torch.bool)
-    placed = Placed(size, torch.zeros(2, dtype=torch.bool), *states, size[:1], pose, moved, edges)
-    return encounter(attacker, met_by(attacker, placed).gap, placed)
+    placed = AttackStates(size, torch.zeros(2, dtype=torch.bool), *states, size[:1], pose, moved, edges)
+    return encounter(attacker, attack_distances(attacker, placed).gap, placed)
 
 
 def _motion(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor]:

@@ -18,7 +18,7 @@ from advdiff_sumo.diffusion.sampler import (
     Sampling,
     SamplingStep,
     draw,
-    foresee,
+    predict_at_step,
     sample,
     transition,
 )
@@ -226,7 +226,7 @@ def test_a_constant_push_moves_samples_its_way() -> None:
 def test_foresight_of_a_network_that_knows_is_the_data(done: int) -> None:
     x0 = torch.randn(2, 3, 1, 8, generator=seeded(2))
     start = torch.randn(2, 3, 1, 8, generator=seeded(3))
-    made = foresee(oracle(x0), start, SCHEDULE, Sampling(steps=4), seeded(), done)
+    made = predict_at_step(oracle(x0), start, SCHEDULE, Sampling(steps=4), seeded(), done)
     torch.testing.assert_close(made.clean, x0, atol=2e-4, rtol=1e-3)
     torch.testing.assert_close(made.noise, oracle(x0)(made.x, made.k))
     assert (made.k, made.alpha) == (100 - 25 * done, float(SCHEDULE.alpha[100 - 25 * done]))
@@ -240,7 +240,7 @@ def test_foresight_has_a_gradient_in_its_last_prediction_alone() -> None:
         asked.append((k, torch.is_grad_enabled()))
         return weight * x
 
-    made = foresee(noise_of, torch.ones(1, 1, 1, 4), SCHEDULE, Sampling(steps=4), seeded(), 2)
+    made = predict_at_step(noise_of, torch.ones(1, 1, 1, 4), SCHEDULE, Sampling(steps=4), seeded(), 2)
     made.clean.sum().backward()
     assert asked == [(100, False), (75, False), (50, True)]
     assert weight.grad is not None

@@ -10,7 +10,7 @@ from advdiff_sumo.diffusion import attack_costs
 from advdiff_sumo.diffusion.attack import plain_objective
 from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack
 from advdiff_sumo.diffusion.attack_slope import AttackOnTensors, tensors_of
-from advdiff_sumo.diffusion.bodies import Placed, met_by
+from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.exported_step import StepOnTensors
 from advdiff_sumo.diffusion.exported_step import tensors_of as step_tensors
 from advdiff_sumo.diffusion.guides import autograd_slope
@@ -74,10 +74,13 @@ def test_the_form_that_is_one_package_is_the_objective(
 @pytest.mark.parametrize("rows", [[2], [4, 1], [1, 2, 3, 4, 5, 6]])
 def test_what_attackers_meet(rows: list[int], edges: bool) -> None:
     """With somebody on foot, with edges and without, and where nobody else is there."""
-    placed, driven = Placed.of(crowd(edges), torch.tensor(rows), futures(1, 7, 1)), futures(3, len(rows), 2)
+    placed, driven = (
+        AttackStates.of(crowd(edges), torch.tensor(rows), futures(1, 7, 1)),
+        futures(3, len(rows), 2),
+    )
 
     def meets(xy: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        met = met_by(Rollout(xy, yaw, driven.speed, driven.accel, driven.curvature), placed)
+        met = attack_distances(Rollout(xy, yaw, driven.speed, driven.accel, driven.curvature), placed)
         assert met.gap.shape == (3, len(rows), STEPS)
         return met.gap, met.overlap, met.off
 

@@ -20,7 +20,13 @@ from advdiff_sumo.models.lane_attention import NEAREST, LanePieces, closest
 from advdiff_sumo.models.losses import discs
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.neighbours import Neighbours, nearest_agents
-from advdiff_sumo.models.proximity import CARRIED_S, box_clearance, carried_gaps, lead_gaps, pair_features
+from advdiff_sumo.models.proximity import (
+    EXTRAPOLATION_S,
+    box_clearance,
+    extrapolated_gaps,
+    lead_gaps,
+    pair_features,
+)
 from advdiff_sumo.models.road_edges import RoadEdges
 
 Stir = Callable[[nn.Module], nn.Module]
@@ -91,8 +97,8 @@ def test_some_rows_are_those_of_the_whole_and_the_only_ones_that_move(
 )
 def test_gaps_of_boxes_in_line(x: float, speed: tuple[float, float], gaps: list[float]) -> None:
     xy, yaw = torch.tensor([[[0.0, 0.0], [x, 0.0]]]), torch.zeros(1, 2)
-    made = carried_gaps(Neighbours.of(xy, yaw, torch.tensor([speed]), SIZE, torch.tensor([0])))
-    assert made.shape == (len(CARRIED_S), 1, 1, 2)
+    made = extrapolated_gaps(Neighbours.of(xy, yaw, torch.tensor([speed]), SIZE, torch.tensor([0])))
+    assert made.shape == (len(EXTRAPOLATION_S), 1, 1, 2)
     assert made[:, 0, 0, 1].tolist() == pytest.approx(gaps, abs=1e-3)
 
 
@@ -100,7 +106,7 @@ def test_gaps_of_boxes_in_line(x: float, speed: tuple[float, float], gaps: list[
 @given(st.floats(-15.0, 15.0), st.floats(-15.0, 15.0), st.floats(-math.pi, math.pi), st.floats(0.0, 20.0))
 def test_gaps_are_alike_from_both_sides(x: float, y: float, yaw: float, speed: float) -> None:
     xy, turn = torch.tensor([[[0.0, 0.0], [x, y]]]), torch.tensor([[0.3, yaw]])
-    made = carried_gaps(Neighbours.of(xy, turn, torch.tensor([[speed, 5.0]]), SIZE, torch.arange(2)))
+    made = extrapolated_gaps(Neighbours.of(xy, turn, torch.tensor([[speed, 5.0]]), SIZE, torch.arange(2)))
     torch.testing.assert_close(made[:, 0, 0, 1], made[:, 0, 1, 0], atol=1e-3, rtol=1e-4)
 
 
@@ -157,8 +163,8 @@ def test_gaps_are_those_of_the_nearest_discs() -> None:
     xy = 10.0 * torch.rand(1, 6, 2, generator=generator, dtype=torch.float64)
     yaw, speed = (f * torch.rand(1, 6, generator=generator, dtype=torch.float64) for f in (6.0, 15.0))
     size = torch.tensor([[[4.5, 2.0], [12.0, 2.5], [2.2, 0.8], [4.5, 2.0], [0.6, 0.6], [8.0, 2.3]]]).double()
-    made = carried_gaps(Neighbours.of(xy, yaw, speed, size, torch.arange(6)))
-    for k, after in enumerate(CARRIED_S):
+    made = extrapolated_gaps(Neighbours.of(xy, yaw, speed, size, torch.arange(6)))
+    for k, after in enumerate(EXTRAPOLATION_S):
         ahead = torch.stack((torch.cos(yaw), torch.sin(yaw)), dim=-1)
         centres, radius = discs(xy + after * speed[..., None] * ahead, yaw, size)
         apart = torch.cdist(centres[0].flatten(0, 1), centres[0].flatten(0, 1)).reshape(6, 5, 6, 5)

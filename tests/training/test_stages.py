@@ -230,7 +230,7 @@ def test_draws_of_the_prior_teach_the_decoder_alone(batch: SceneBatch) -> None:
     plain = TrafficStage(bundle, ElboOptions())
     stage = TrafficStage(bundle, ElboOptions(samples=1.0))
     terms = stage.loss(batch, Moment(0, 10, chance()))
-    wrong = [terms[name] for name in ("misfit", "lane", "following", "progress")]
+    wrong = [terms[name] for name in ("overlap_penalty", "lane", "following", "progress")]
     assert float((terms["loss"] - sum(wrong)).detach()) == pytest.approx(
         float(plain.loss(batch, Moment(0, 10, chance()))["loss"].detach()), rel=1e-4
     )

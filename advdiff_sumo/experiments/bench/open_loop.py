@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.sample_refinement import Decode, held_decode, together
+from advdiff_sumo.diffusion.sample_refinement import Decode, fixed_neighbours_decode, refine_samples
 from advdiff_sumo.metrics.pairwise import least_ttc, ttc_counts
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle, load_bundle
@@ -118,7 +118,7 @@ def _encoding(bundle: Bundle, draw: Draw) -> Continue:
 def _refinement_decoder(bundle: Bundle) -> Decode:
     """Return the decoder with which samples are refined."""
     assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - the row names latent weights
-    return held_decode(bundle.codec, FastDecoder(bundle.traffic.decoder))
+    return fixed_neighbours_decode(bundle.codec, FastDecoder(bundle.traffic.decoder))
 
 
 def _refined(decode: Decode, sample: Tensor, context: Context, repeated: SceneBatch, samples: int) -> Tensor:
@@ -129,7 +129,7 @@ def _refined(decode: Decode, sample: Tensor, context: Context, repeated: SceneBa
         agents = int(repeated.present[begin].nonzero().max()) + 1
         batch = repeated.rows(window).rows_of(torch.arange(agents))
         window_context = context.rows(window).first(agents)
-        refined[window, :agents] = together(sample[window, :agents], decode, window_context, batch)
+        refined[window, :agents] = refine_samples(sample[window, :agents], decode, window_context, batch)
     return refined
 
 

@@ -1,4 +1,4 @@
-"""Samples made to fit together, on cars whose numbers are their places: what is wrong goes, the rest stays."""
+"""Refinement of samples, for cars whose latents are their positions: overlaps are removed, all else stays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
-from advdiff_sumo.diffusion.sample_refinement import Together, held_decode, misfit, together
+from advdiff_sumo.diffusion.sample_refinement import (
+    RefinementOptions,
+    fixed_neighbours_decode,
+    overlap_penalty,
+    refine_samples,
+)
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.context import Context
@@ -41,11 +46,11 @@ def test_cars_inside_each_other_part_and_the_third_stays(driving: Callable[..., 
     scene = driving([(0.0, 0.0, 0.0, 5.0), (5.0, 0.5, 0.0, 5.0), (40.0, 0.0, 0.0, 5.0)])
     drawn = torch.zeros(1, 3, 1, 2, dtype=torch.float64)
     drawn[0, 0, 0, 0] = 4.0
-    how = Together(steps=100)
-    before = misfit(Places().decode(drawn, NOTHING, scene), scene, how)
+    how = RefinementOptions(steps=100)
+    before = overlap_penalty(Places().decode(drawn, NOTHING, scene), scene, how)
     assert (before[0, :2] > 0.5).all()
-    made = together(drawn, Places().decode, NOTHING, scene, how)
-    after = misfit(Places().decode(made, NOTHING, scene), scene, how)
+    made = refine_samples(drawn, Places().decode, NOTHING, scene, how)
+    after = overlap_penalty(Places().decode(made, NOTHING, scene), scene, how)
     assert float(after.max()) < 0.1
     xy = Places().decode(made, NOTHING, scene).xy[0, :, 0]
     apart = (xy[1] - xy[0]).abs()
@@ -69,7 +74,7 @@ def test_who_was_drawn_through_a_standing_car_stays_behind_it(driving: Callable[
     scene = driving([(0.0, 0.0, 0.0, 14.0), (10.5, 0.0, 0.0, 0.0)])
     scene.parked[0, 1] = True
     drawn = torch.tensor([14.0, 0.0], dtype=torch.float64).reshape(1, 2, 1, 1)
-    made = together(drawn, Speeds().decode, NOTHING, scene, Together(steps=300, keep=0.0))
+    made = refine_samples(drawn, Speeds().decode, NOTHING, scene, RefinementOptions(steps=300, keep=0.0))
     assert float(Speeds().decode(made, NOTHING, scene).xy[0, 0, -1, 0]) < 10.5 - 4.0
 
 
@@ -84,7 +89,10 @@ def test_the_held_gradient_is_of_the_same_futures(
         scene = driving(cars)
         context = model.encoder(scene)
         x = torch.randn(1, len(cars), 1, options.latent, dtype=torch.float64, requires_grad=True)
-        whole, held = codec.decode(x, context, scene), held_decode(codec, decoder)(x, context, scene)
+        whole, held = (
+            codec.decode(x, context, scene),
+            fixed_neighbours_decode(codec, decoder)(x, context, scene),
+        )
         assert torch.allclose(held.xy, whole.xy, atol=1e-9)
         wanted, made = (torch.autograd.grad(r.xy.square().sum(), x)[0] for r in (whole, held))
         alike = torch.nn.functional.cosine_similarity(made.flatten(), wanted.flatten(), dim=0)
@@ -94,14 +102,14 @@ def test_the_held_gradient_is_of_the_same_futures(
 def test_cars_that_are_apart_keep_their_numbers_to_the_bit(driving: Callable[..., SceneBatch]) -> None:
     scene = driving([(0.0, 0.0, 0.0, 5.0), (6.0, 0.0, 0.0, 5.0)])
     drawn = torch.randn(1, 2, 1, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 0.1
-    assert torch.equal(together(drawn, Places().decode, NOTHING, scene), drawn)
+    assert torch.equal(refine_samples(drawn, Places().decode, NOTHING, scene), drawn)
 
 
 @pytest.mark.parametrize("still", ["parked", "moved"])
 def test_who_is_parked_or_not_ours_does_not_move(driving: Callable[..., SceneBatch], still: str) -> None:
     scene = driving([(0.0, 0.0, 0.0, 5.0), (3.0, 0.5, 0.0, 0.0)])
     getattr(scene, still)[0, 1] = still == "parked"
-    made = together(torch.zeros(1, 2, 1, 2, dtype=torch.float64), Places().decode, NOTHING, scene)
+    made = refine_samples(torch.zeros(1, 2, 1, 2, dtype=torch.float64), Places().decode, NOTHING, scene)
     assert float(made[0, 1].abs().max()) == 0.0
     assert float(made[0, 0].abs().max()) > 0.1
 
@@ -109,15 +117,15 @@ def test_who_is_parked_or_not_ours_does_not_move(driving: Callable[..., SceneBat
 def test_without_steps_or_without_weights_nothing_changes(driving: Callable[..., SceneBatch]) -> None:
     scene = driving([(0.0, 0.0, 0.0, 5.0), (3.0, 0.5, 0.0, 0.0)])
     drawn = torch.zeros(1, 2, 1, 2, dtype=torch.float64)
-    for how in (Together(steps=0), Together(vehicles=0.0, road=0.0)):
-        assert torch.equal(together(drawn, Places().decode, NOTHING, scene, how), drawn)
+    for how in (RefinementOptions(steps=0), RefinementOptions(vehicles=0.0, road=0.0)):
+        assert torch.equal(refine_samples(drawn, Places().decode, NOTHING, scene, how), drawn)
 
 
 def test_who_was_drawn_off_the_road_comes_back(driving: Callable[..., SceneBatch]) -> None:
     """A car of 2 m beside an edge at 1.8 m to its left was drawn 2 m to the left."""
     scene = driving([(40.0, 0.0, 0.0, 5.0)], edges=[EDGE])
     drawn = torch.tensor([0.0, 2.0], dtype=torch.float64).reshape(1, 1, 1, 2)
-    how = Together(steps=150)
-    assert float(misfit(Places().decode(drawn, NOTHING, scene), scene, how).max()) > 1.0
-    made = together(drawn, Places().decode, NOTHING, scene, how)
+    how = RefinementOptions(steps=150)
+    assert float(overlap_penalty(Places().decode(drawn, NOTHING, scene), scene, how).max()) > 1.0
+    made = refine_samples(drawn, Places().decode, NOTHING, scene, how)
     assert 0.3 < float(made[0, 0, 0, 1]) < 1.0  # its left side at the edge, no farther back than it has to

@@ -1,4 +1,4 @@
-"""What attacks may be asked for; names alone, as the command line lists them before it imports what drives them."""
+"""Names of attacks, apart from their code: the command line lists them without importing it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FurtherAttack: TypeAlias = Literal[
     "slow-merge",
     "pull-out",
 ]
-"""What may be asked for under a licence besides "any", "hard-stop" and "cut-in"."""
+"""Attacks under a licence besides "any", "hard-stop" and "cut-in"."""
 Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", FurtherAttack]
-"""Attacks of ``scripted``; ``diffusion`` knows them under a licence."""
+"""Attacks of ``scripted``, and of ``diffusion`` under a licence."""
 KIND_NAMES: tuple[str, ...] = get_args(Kind)
 RECKLESS_ATTACKS = ("any", "cut-in", "rear-end", "head-on", "junction", "brake")
-"""Attacks that the guide of ``diffusion`` has terms for."""
+"""Attacks for which the guide of ``diffusion`` has cost terms."""

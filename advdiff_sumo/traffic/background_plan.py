@@ -1,6 +1,6 @@
-"""What all backgrounds that plan share: what they see, what they may do of what they propose, and when they plan.
+"""Turns the proposal of a policy into a plan; shared by all backgrounds that plan.
 
-A policy supplies its proposal (:class:`Drawn`); licence and safeguard make a plan of it.
+A policy supplies a proposal (:class:`Drawn`). Licence and safeguard make a plan of it.
 """
 
 from __future__ import annotations
@@ -37,8 +37,11 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 _LEAVES_M, _LEAVES_S = 12.0, 2.0
+"""A vehicle is about to leave the net if it reaches the end within this distance plus this time."""
 _CHANGED_M = 0.1
-_SLIPPED_M = 0.3
+"""The safeguard changed a plan if it moved its first instant farther than this."""
+_DEVIATION_M = 0.3
+"""A vehicle farther than this from its previous plan does not continue it."""
 
 
 @dataclass(frozen=True)
@@ -46,25 +49,25 @@ class Rules:
     """What attackers may do.
 
     Attributes:
-        licence: its name.
-        most: lawful manoeuvres at a time.
-        commitments: lawful manoeuvres under way; None: none are driven.
+        licence: name of the licence.
+        max_manoeuvres: largest number of simultaneous lawful manoeuvres.
+        commitments: lawful manoeuvres under way; None: no manoeuvres.
     """
 
     licence: LicenceName
-    most: int
+    max_manoeuvres: int
     commitments: Commitments | None = None
 
 
 @dataclass(frozen=True)
 class PlausiblePlan:
-    """A plan that licence and safeguard have looked at.
+    """A plan after licence and safeguard.
 
     Attributes:
-        tracks: of who is moved.
-        attack: what the licence made of the attackers.
-        safeguarded: of how many vehicles the next half second was changed, and of how many it was proposed.
-        attackers: names of those whose proposed attack is driven: no licence refused it, no manoeuvre replaced it.
+        tracks: plans of the moved vehicles.
+        attack: attack that the licence allows.
+        safeguarded: number of vehicles whose next half second was changed, and number of proposed plans.
+        attackers: ids of vehicles that drive their proposed attack, neither refused nor replaced by a manoeuvre.
     """
 
     tracks: Tracks
@@ -76,9 +79,12 @@ class PlausiblePlan:
 def outlook(
     road: RoadMap, scene: Scene, map_view: MapView = "near"
 ) -> tuple[View, dict[int, LaneAhead | None]]:
-    """Return *scene* for the networks, less who leaves the net, and the lanes that each movable row would follow."""
+    """Return the networks' view of *scene* and, by row, the lanes that each movable vehicle would follow.
+
+    Vehicles that are about to leave the net are not moved.
+    """
     lanes = lanes_of(road, scene)
-    return look(road, scene, leaving(scene, lanes), map_view=map_view), lanes
+    return look(road, scene, leaves_net(scene, lanes), map_view=map_view), lanes
 
 
 def plausible_plan(
@@ -89,68 +95,71 @@ def plausible_plan(
     before: tuple[Tracks | None, int],
     rules: Rules,
 ) -> PlausiblePlan:
-    """Return the plan of who is moved, out of a proposal.
+    """Return the plan of the moved vehicles, made of a proposal.
 
     Args:
         road: the map.
         view: the scene.
-        lanes: what each movable vehicle, by its row in the scene, would follow.
+        lanes: row of the scene → lanes that the vehicle would follow.
         drawn: the proposal.
-        before: the last plan and how many model steps of it have been driven.
-        rules: for the attackers.
+        before: the previous plan and the number of model steps of it that have been driven.
+        rules: what attackers may do.
     """
     futures = futures_of(view.now, drawn.rollout)
     attackers = drawn.attackers
-    attack = licensed_attack(road, view, futures, attackers, rules.licence, rules.commitments, rules.most)
+    attack = licensed_attack(
+        road, view, futures, attackers, rules.licence, rules.commitments, rules.max_manoeuvres
+    )
     guarded = apply_safeguard(road, view, drawn, lanes, before, attack)
-    free = np.setdiff1d(np.flatnonzero(view.moved), list(attack.driven))
-    away = np.linalg.norm(guarded.futures.xy_m[free, 1] - futures.xy_m[free, 1], axis=-1)
-    lost = {view.ids[row] for row in (*attack.refused, *attack.driven)}
+    proposed = np.setdiff1d(np.flatnonzero(view.moved), list(attack.driven))
+    shift = np.linalg.norm(guarded.futures.xy_m[proposed, 1] - futures.xy_m[proposed, 1], axis=-1)
+    overruled = {view.ids[row] for row in (*attack.refused, *attack.driven)}
     return PlausiblePlan(
         tracks_of(view, guarded.futures),
         attack,
-        (int((away > _CHANGED_M).sum()), len(free)),
-        tuple(name for name in attackers if name not in lost),
+        (int((shift > _CHANGED_M).sum()), len(proposed)),
+        tuple(name for name in attackers if name not in overruled),
     )
 
 
-def nobody(scene: Scene) -> Tracks:
-    """Return the plan where nobody may be moved."""
+def empty_plan(scene: Scene) -> Tracks:
+    """Return a plan that moves no vehicle."""
     return Tracks.empty(steps=1, dt_s=MODEL_STEP_S, t0_s=scene.time_s + MODEL_STEP_S)
 
 
-def driven_of(plan: Tracks | None, scene: Scene) -> int:
-    """Return how many model steps of the last *plan* have been driven by now, by its clock; 1 at least."""
+def steps_driven(plan: Tracks | None, scene: Scene) -> int:
+    """Return the number of model steps of the previous *plan* driven by now, at least 1."""
     return 1 if plan is None else max(round((scene.time_s - plan.t0_s) / plan.dt_s) + 1, 1)
 
 
-def rest_of(road: RoadMap, plan: Tracks | None, before: int, scene: Scene, replan: int) -> Tracks | None:
-    """Return what is left of the last plan, where it shall be driven on and names everybody that may be moved.
+def remaining_plan(
+    road: RoadMap, plan: Tracks | None, before: int, scene: Scene, replan: int
+) -> Tracks | None:
+    """Return the rest of the previous plan; None if a new plan is due or the rest cannot be used.
 
-    Who is about to leave the net is not moved. The rest has to last until the next plan, for as many steps as passed
-    since it was handed out last.
+    It can be used if it covers exactly the vehicles to be moved, and if it lasts until the next call, as many steps
+    from now as passed since the previous one. Vehicles that are about to leave the net are not moved.
 
     Args:
         road: the map.
-        plan: the last one.
-        before: model steps of it that had been driven when it was handed out last.
-        scene: now.
-        replan: model steps of a plan to drive.
+        plan: the previous plan.
+        before: number of its model steps that had been driven at the previous call.
+        scene: the scene now.
+        replan: number of model steps of a plan to drive.
     """
-    driven = driven_of(plan, scene)
+    driven = steps_driven(plan, scene)
     if plan is None or driven >= replan or plan.steps < 2 * driven - before:
         return None
-    late = abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6
-    if late:
+    if abs(plan.t0_s + (driven - 1) * plan.dt_s - scene.time_s) > 1e-6:  # now is between its instants
         return None
-    moved = scene.movable & ~leaving(scene, lanes_of(road, scene))
-    if {name for name, free in zip(scene.history.ids, moved, strict=True) if free} != set(plan.ids):
+    to_move = scene.movable & ~leaves_net(scene, lanes_of(road, scene))
+    if {name for name, is_moved in zip(scene.history.ids, to_move, strict=True) if is_moved} != set(plan.ids):
         return None
     return plan.window(driven, plan.steps)
 
 
 def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
-    """Return the lanes that each movable vehicle, by its row, would follow."""
+    """Return, by row, the lanes that each movable vehicle would follow."""
     rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
     now = scene.history
     ahead = lanes_ahead(
@@ -159,14 +168,14 @@ def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
     return dict(zip(rows.tolist(), ahead, strict=True))
 
 
-def leaving(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
-    """Return (agents,) which vehicles are about to drive off the net's end."""
-    out = np.zeros(scene.history.agents, dtype=np.bool_)
+def leaves_net(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:
+    """Return (agents,) which vehicles are about to leave the net."""
+    leaves = np.zeros(scene.history.agents, dtype=np.bool_)
     for row, lane in lanes.items():
         if lane is not None:
             speed = max(float(scene.history.speed_mps[row, -1]), 0.0)
-            out[row] = lane.end_m < _LEAVES_M + _LEAVES_S * speed
-    return out
+            leaves[row] = lane.end_m < _LEAVES_M + _LEAVES_S * speed
+    return leaves
 
 
 def apply_safeguard(
@@ -177,41 +186,41 @@ def apply_safeguard(
     before: tuple[Tracks | None, int] = (None, 0),
     attack: LicensedAttack = RECKLESS,
 ) -> SafeguardedPlans:
-    """Return the plans *drawn* for *view* made plausible, among everybody else's predictions.
+    """Return the proposed plans after the safeguard, among predictions of all other road users.
 
     Args:
         road: the map.
         view: the scene.
-        drawn: the plans.
-        lanes: what each movable vehicle, by its row in the scene, would follow.
-        before: the last plan and how many model steps of it have been driven.
-        attack: what the licence makes of the attackers.
+        drawn: the proposal.
+        lanes: row of the scene → lanes that the vehicle would follow.
+        before: the previous plan and the number of model steps of it that have been driven.
+        attack: attack that the licence allows.
     """
     futures, scene = futures_of(view.now, drawn.rollout), view.scene
-    rest = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)
-    rows = np.concatenate((view.rows, rest))
-    watched = _watched(road, view, rows, lanes, drawn.attackers, attack)
-    watched = replace(watched, before=_rests(*before, view, futures.steps))
+    outside = np.setdiff1d(np.flatnonzero(scene.history.valid[:, -1]), view.rows)  # rows not in the view
+    rows = np.concatenate((view.rows, outside))
+    inputs = _safeguard_input(road, view, rows, lanes, drawn.attackers, attack)
+    inputs = replace(inputs, previous=_previous_plans(*before, view, futures.steps))
     for row, plan in attack.driven.items():
         futures.put(row, *plan)
-    back_to_lane(futures, np.array(attack.refused, dtype=np.int64), watched)
+    back_to_lane(futures, np.array(attack.refused, dtype=np.int64), inputs)
     now = scene.history
     joined = join(
         futures,
         coasting(
-            now.xy_m[rest, -1],
-            now.yaw_rad[rest, -1],
-            now.speed_mps[rest, -1],
-            now.size_m[rest],
+            now.xy_m[outside, -1],
+            now.yaw_rad[outside, -1],
+            now.speed_mps[outside, -1],
+            now.size_m[outside],
             futures.steps,
             futures.dt_s,
         ),
     )
-    go_straight(joined, watched.people & ~_with_rest(view.moved, rest), velocities(now)[rows])
-    return safeguard(road, joined, watched)
+    go_straight(joined, inputs.is_unprotected & ~_padded(view.moved, len(outside)), velocities(now)[rows])
+    return safeguard(road, joined, inputs)
 
 
-def _watched(
+def _safeguard_input(
     road: RoadMap,
     view: View,
     rows: IntArray,
@@ -219,64 +228,64 @@ def _watched(
     attackers: Sequence[str],
     attack: LicensedAttack,
 ) -> SafeguardInput:
-    """Return what the safeguard has to know of *rows* (N,) of the scene, those of the view first."""
-    scene, rest = view.scene, rows[len(view.ids) :]
+    """Return the input of the safeguard for *rows* (N,) of the scene, those of the view first."""
+    scene, outside = view.scene, len(rows) - len(view.ids)
     guided = np.isin(view.ids, attackers)
-    driven = np.isin(np.arange(len(view.ids)), list(attack.driven))
-    planned = view.moved & ~driven
-    dawdled = _slower(view.now, WALKS_MPS)
+    in_manoeuvre = np.isin(np.arange(len(view.ids)), list(attack.driven))
+    planned = view.moved & ~in_manoeuvre
+    has_crept = _was_slower(view.now, WALKS_MPS)
     ahead = [lanes.get(row) for row in rows.tolist()]
-    for row in np.flatnonzero(planned & dawdled).tolist():
+    for row in np.flatnonzero(planned & has_crept).tolist():
         if ahead[row] is None:
             ahead[row] = way_out(road, view.now.xy_m[row, -1], float(view.now.yaw_rad[row, -1]))
-    over_limit = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
-    waits = np.array([attack.waits_m.get(row, np.inf) for row in range(len(rows))])
+    limit_share = np.where(guided, attack.over_limit, NATURAL_OVER_LIMIT)
+    yield_stop_m = np.array([attack.waits_m.get(row, np.inf) for row in range(len(rows))])
     return SafeguardInput(
-        planned=_with_rest(planned, rest),
-        attacker=_with_rest(guided & attack.exempt, rest),
+        is_planned=_padded(planned, outside),
+        is_attacker=_padded(guided & attack.exempt, outside),
         target=0,
-        motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
-        people=np.isin(scene.history.classes[rows], PEOPLE),
-        stood=_with_rest(_slower(view.now, STANDS_MPS) & ~driven, rest),
-        dawdled=_with_rest(dawdled, rest),
-        over_limit=np.concatenate((over_limit, np.ones(len(rest)))),
+        is_motor=np.isin(scene.history.classes[rows], MOTOR_CLASSES),
+        is_unprotected=np.isin(scene.history.classes[rows], PEOPLE),
+        has_stood=_padded(_was_slower(view.now, STANDS_MPS) & ~in_manoeuvre, outside),
+        has_crept=_padded(has_crept, outside),
+        limit_share=np.concatenate((limit_share, np.ones(outside))),
         lanes=ahead,
         signals=scene.signals,
-        waits_m=waits,
-        keeps_back=not attack.exempt,
-        lanes_afar=attack.exempt,
+        yield_stop_m=yield_stop_m,
+        keep_gap=not attack.exempt,
+        far_follow_lanes=attack.exempt,
     )
 
 
-def _with_rest(mask: BoolArray, rest: IntArray) -> BoolArray:
-    """Return *mask* of the view's agents, and False for the *rest* of the scene."""
-    return np.concatenate((mask, np.zeros(len(rest), dtype=np.bool_)))
+def _padded(mask: BoolArray, count: int) -> BoolArray:
+    """Return *mask* with False for *count* further road users."""
+    return np.concatenate((mask, np.zeros(count, dtype=np.bool_)))
 
 
-def _rests(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, VehiclePlan]:
-    """Return by row of *view* what is left of the last plan, gone on with at its last speed, for *steps* instants.
+def _previous_plans(plan: Tracks | None, driven: int, view: View, steps: int) -> dict[int, VehiclePlan]:
+    """Return, by row of *view*, the rest of the previous plan, continued at its last speed to *steps* instants.
 
-    Who is not where its plan had it by now is left out.
+    Vehicles that are not where their plan expects them now are left out.
     """
     if plan is None or not 0 < driven < plan.steps:
         return {}
-    rest = {name: row for row, name in enumerate(plan.ids)}
+    plan_rows = {name: row for row, name in enumerate(plan.ids)}
     ahead = np.arange(driven, driven + steps)
     index, beyond = np.minimum(ahead, plan.steps - 1), plan.dt_s * np.maximum(ahead - plan.steps + 1, 0)
-    out: dict[int, VehiclePlan] = {}
+    previous: dict[int, VehiclePlan] = {}
     for row in np.flatnonzero(view.moved).tolist():
-        mine = rest.get(view.ids[row])
-        if mine is None:
+        plan_row = plan_rows.get(view.ids[row])
+        if plan_row is None:
             continue
-        if np.linalg.norm(plan.xy_m[mine, driven - 1] - view.now.xy_m[row, -1]) < _SLIPPED_M:
-            yaw, speed = plan.yaw_rad[mine, index], plan.speed_mps[mine, index]
-            out[row] = plan.xy_m[mine, index] + (speed * beyond)[:, None] * unit(yaw), yaw, speed
-    return out
+        if np.linalg.norm(plan.xy_m[plan_row, driven - 1] - view.now.xy_m[row, -1]) < _DEVIATION_M:
+            yaw, speed = plan.yaw_rad[plan_row, index], plan.speed_mps[plan_row, index]
+            previous[row] = plan.xy_m[plan_row, index] + (speed * beyond)[:, None] * unit(yaw), yaw, speed
+    return previous
 
 
-def _slower(now: Tracks, speed_mps: float) -> BoolArray:
-    """Return (A,) who has been there, slower than *speed_mps*, for the whole history."""
-    return np.asarray((now.valid & (np.abs(now.speed_mps) < speed_mps)).all(axis=1))
+def _was_slower(history: Tracks, speed_mps: float) -> BoolArray:
+    """Return (A,) who has been present and slower than *speed_mps* for the whole history."""
+    return np.asarray((history.valid & (np.abs(history.speed_mps) < speed_mps)).all(axis=1))
 
 
 def tracks_of(view: View, futures: Futures) -> Tracks:

@@ -1,4 +1,4 @@
-"""Contract checker of background policies, for every built-in and for users' own."""
+"""Checks whether a background policy, built-in or a user's own, keeps the rules of policies."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ if TYPE_CHECKING:
 
 _SEED = 20240501
 _CLOCK_S = 1e-6
-_COPY = "copy what you change, as by scene.copied() or log.copied()"
-_WHOM = "plan for those of scene.movable, with the classes and sizes of scene.history"
-_HOW = "begin where scene.history ends, and let place, heading and speed agree"
+"""Times that differ by no more than this are the same."""
+_COPY_REMEDY = "copy what you change, as by scene.copied() or log.copied()"
+_VEHICLES_REMEDY = "plan for those of scene.movable, with the classes and sizes of scene.history"
+_MOTION_REMEDY = "begin where scene.history ends, and let place, heading and speed agree"
 
 
 class PolicyPart(StrEnum):
-    """Parts of the contract of a policy, in the order in which they are looked at."""
+    """Parts of the contract of a policy, in the order in which they are checked."""
 
     METHODS = "methods"
     RAISES = "raises nothing"
@@ -48,32 +49,32 @@ class PolicyPart(StrEnum):
 
 
 def check_policy(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[str]:
-    """Return what *policy* does against its contract, one sentence each; empty when it keeps it.
+    """Return how *policy* breaks its contract, one sentence each; empty if it keeps it.
 
-    Plans twice from the same memory and random numbers, and once more half a second later on the clock, each time in a
-    copy of *scene*, as in an episode.
+    The policy plans twice from the same memory and random numbers, and a third time half a second later on the
+    clock, each time in a copy of *scene*, as in an episode.
 
     Args:
         policy: the policy.
         road: the map of the scene.
         scene: a first instant, with its background movable.
-        log: what the vehicles did, or None.
+        log: tracks of the vehicles in reality or natural traffic, or None.
     """
     return [problem.text for problem in policy_problems(policy, road, scene, log) if not problem.harmless]
 
 
 def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tracks | None) -> list[Problem]:
-    """Return what :func:`check_policy` finds, each with the part of the contract that it belongs to."""
+    """Return the findings of :func:`check_policy`, each with the part of the contract that is broken."""
     for method in ("start", "plan"):
         if not callable(getattr(policy, method, None)):
             return [Problem(PolicyPart.METHODS, f"it has no method {method}")]
-    before, given = (content_of(scene), content_of(log)), [scene.copied() for _ in range(4)]
+    before, scenes = (content_of(scene), content_of(log)), [scene.copied() for _ in range(4)]
     later_scene = replace(scene, history=scene.history.shifted(scene.history.dt_s))
     try:
-        memory = policy.start(road, given[0], log, np.random.default_rng(_SEED))
+        memory = policy.start(road, scenes[0], log, np.random.default_rng(_SEED))
         started = content_of(memory, (road,))
-        restarted = content_of(policy.start(road, given[1], log, np.random.default_rng(_SEED)), (road,))
-        plans = [_plan(policy, road, now, memory) for now in (*given[2:], later_scene.copied())]
+        restarted = content_of(policy.start(road, scenes[1], log, np.random.default_rng(_SEED)), (road,))
+        plans = [_plan(policy, road, now, memory) for now in (*scenes[2:], later_scene.copied())]
     except _BrokenContractError as error:
         return [Problem(PolicyPart.FORM, str(error))]
     except BaseException as error:  # noqa: BLE001 - a user's policy may raise anything; that is a finding
@@ -85,19 +86,19 @@ def policy_problems(policy: TrafficPolicy, road: RoadMap, scene: Scene, log: Tra
     if any(problem.part is PolicyPart.FORM for problem in problems):
         return problems
     problems += _repeats(only_added_to(started, restarted), content_of(plans[0]) == content_of(plans[1]))
-    changed = next((content for content in map(content_of, given) if content != before[0]), before[0])
+    changed = next((content for content in map(content_of, scenes) if content != before[0]), before[0])
     return [*problems, *_changes((*before, started), (changed, content_of(log), content_of(memory, (road,))))]
 
 
 def plans_from_memory_of_others(
     policy: TrafficPolicy, road: RoadMap, situations: Sequence[tuple[Scene, Tracks | None]]
 ) -> bool:
-    """Return whether the first plan in the first scene changes once *policy* has planned in all of them.
+    """Return whether the first plan in the first scene changes after *policy* has planned in all of them.
 
     Args:
         policy: the policy.
         road: the map of the scenes.
-        situations: scenes with their logs, one at least; they are left alone.
+        situations: at least one scene, each with its log; they are not changed.
     """
 
     def first_plan(situation: tuple[Scene, Tracks | None]) -> object:
@@ -109,11 +110,11 @@ def plans_from_memory_of_others(
 
 
 class _BrokenContractError(Exception):
-    """The plan is not of the form that anything else can be said about."""
+    """The form of the plan is so wrong that nothing else can be checked."""
 
 
 def _plan(policy: TrafficPolicy, road: RoadMap, scene: Scene, memory: Any) -> JointPlan:
-    """Return a plan in arrays of its own: the policy may write its next one into the same."""
+    """Return a copy of the policy's plan, as the policy may reuse its arrays for the next plan."""
     returned: Any = policy.plan(road, scene, memory, np.random.default_rng(_SEED))
     if not (isinstance(returned, tuple) and len(returned) == 2):
         raise _BrokenContractError("plan must return (JointPlan, memory)")
@@ -124,14 +125,16 @@ def _plan(policy: TrafficPolicy, road: RoadMap, scene: Scene, memory: Any) -> Jo
 
 
 def _plan_problems(plan: JointPlan, scene: Scene, log: Tracks | None) -> list[Problem]:
-    """Return what is wrong with *plan*, in the order of the parts; what a run refuses for another reason comes last."""
+    """Return the problems of *plan* by part; without any, the reason for which a run would refuse it, if it would."""
     form = [Problem(PolicyPart.FORM, text) for text in (*_clock(plan, scene), *_arrays(plan.tracks))]
     if form:
         return form
-    problems = [Problem(PolicyPart.VEHICLES, text, remedy=_WHOM) for text in _agents(plan, scene, log)]
+    problems = [
+        Problem(PolicyPart.VEHICLES, text, remedy=_VEHICLES_REMEDY) for text in _agents(plan, scene, log)
+    ]
     numbers = [Problem(PolicyPart.NUMBERS, text) for text in _values(plan.tracks)]
     motion = () if numbers else _motion(plan, scene)
-    problems += [*numbers, *(Problem(PolicyPart.MOTION, text, remedy=_HOW) for text in motion)]
+    problems += [*numbers, *(Problem(PolicyPart.MOTION, text, remedy=_MOTION_REMEDY) for text in motion)]
     refused = "" if problems else joint_form_problem(plan) or joint_values_problem(plan)
     return [Problem(PolicyPart.FORM, f"a run refuses its plan: {refused}")] if refused else problems
 
@@ -163,19 +166,19 @@ def _arrays(tracks: Tracks) -> Iterator[str]:
 def _agents(plan: JointPlan, scene: Scene, log: Tracks | None) -> Iterator[str]:
     tracks, history = plan.tracks, scene.history
     for row, name in enumerate(tracks.ids):
-        at = history.index.get(name)
-        if at is None:
+        scene_row = history.index.get(name)
+        if scene_row is None:
             if log is not None and name in log.index and not plan.exact:
                 yield f"it lets in '{name}', whom the scene's log has: give who comes in another id"
             continue
         if name == scene.target_id:
             yield f"it plans for the target '{name}'"
-        elif not scene.movable[at]:
+        elif not scene.movable[scene_row]:
             yield f"it plans for '{name}', which is not movable"
-        if tracks.classes[row] != history.classes[at]:
+        if tracks.classes[row] != history.classes[scene_row]:
             yield f"it changes the class of '{name}'"
-        if not np.allclose(tracks.size_m[row], history.size_m[at], atol=1e-6):
-            yield f"it changes the size of '{name}' from {history.size_m[at]} to {tracks.size_m[row]}"
+        if not np.allclose(tracks.size_m[row], history.size_m[scene_row], atol=1e-6):
+            yield f"it changes the size of '{name}' from {history.size_m[scene_row]} to {tracks.size_m[row]}"
 
 
 def _values(tracks: Tracks) -> Iterator[str]:
@@ -199,35 +202,35 @@ def _values(tracks: Tracks) -> Iterator[str]:
 
 
 def _motion(plan: JointPlan, scene: Scene) -> Iterator[str]:
-    """Yield jumps, and what no vehicle can do of what the bicycle model drives until the next plan."""
-    tracks, bound = plan.tracks, farthest_m(plan.tracks.dt_s)
+    """Yield jumps, and motion up to the next plan that the bicycle model cannot drive."""
+    tracks, farthest = plan.tracks, farthest_m(plan.tracks.dt_s)
     driven = 1 + int(np.ceil(scene.history.dt_s / tracks.dt_s - _CLOCK_S))
     for row, name in enumerate(tracks.ids):
-        xy, yaw, speed, there = _from_now(tracks, row, scene)
+        xy, yaw, speed, valid = _from_now(tracks, row, scene)
         jumps = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
-        if (jumps > bound).any():
+        if (jumps > farthest).any():
             yield (
                 f"'{name}' jumps {np.nanmax(jumps):.1f} m in {tracks.dt_s:g} s, beyond {MAX_SPEED_MPS:g} m/s"
             )
         elif not plan.exact:
-            for start, stop in stretches(there[:driven])[:1]:
+            for start, stop in stretches(valid[:driven])[:1]:
                 faults = motion_faults(xy[start:stop], yaw[start:stop], speed[start:stop], tracks.dt_s, start)
                 yield from (f"'{name}': {fault}" for fault in faults)
 
 
 def _from_now(tracks: Tracks, row: int, scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Return (T + 1, …) states of a vehicle of the plan, from where the scene has it now, and when it is there."""
+    """Return the states of a planned vehicle and when they are valid, (T + 1, …), from its state in the scene on."""
     now = scene.history.window(scene.history.steps - 1, scene.history.steps)
-    at = now.index.get(tracks.ids[row])
-    if at is None or not now.valid[at, -1]:
-        xy, yaw, speed, there = np.full((1, 2), np.nan), [np.nan], [np.nan], [False]
+    now_row = now.index.get(tracks.ids[row])
+    if now_row is None or not now.valid[now_row, -1]:
+        xy, yaw, speed, valid = np.full((1, 2), np.nan), [np.nan], [np.nan], [False]
     else:
-        xy, yaw, speed, there = now.xy_m[at], now.yaw_rad[at], now.speed_mps[at], [True]
+        xy, yaw, speed, valid = now.xy_m[now_row], now.yaw_rad[now_row], now.speed_mps[now_row], [True]
     return (
         np.concatenate((xy, tracks.xy_m[row])),
         np.append(yaw, tracks.yaw_rad[row]),
         np.append(speed, tracks.speed_mps[row]),
-        np.append(there, tracks.valid[row]),
+        np.append(valid, tracks.valid[row]),
     )
 
 
@@ -246,8 +249,8 @@ def _repeats(starts_same: bool, plans_same: bool) -> Iterator[Problem]:
 
 
 def _changes(before: tuple[object, ...], after: tuple[object, ...]) -> Iterator[Problem]:
-    """Yield which of scene, log and memory hold something else than before; tables in the memory may be caches."""
-    remedies = {"scene": _COPY, "log": _COPY, "memory": "return new memory instead"}
+    """Yield which of scene, log and memory were changed; additions to tables in the memory may be caches."""
+    remedies = {"scene": _COPY_REMEDY, "log": _COPY_REMEDY, "memory": "return new memory instead"}
     for (what, remedy), old, new in zip(remedies.items(), before, after, strict=True):
         if old != new:
             cache = what == "memory" and only_added_to(old, new)

@@ -1,4 +1,4 @@
-"""What moves the background vehicles."""
+"""The interface of background policies, which move the background vehicles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.maps import RoadMap
 
 @runtime_checkable
 class TrafficPolicy(Protocol):
-    """A policy keeps nothing between calls: its memory and random numbers come in and go out."""
+    """A policy keeps no state between calls: it is given its memory and random numbers, and returns the memory."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
         """Return the memory for a new episode.
@@ -21,25 +21,25 @@ class TrafficPolicy(Protocol):
         Args:
             road: the map.
             scene: the first instant.
-            log: what the vehicles did in reality or in natural traffic, on the episode's clock, at any
-                spacing; None when there is no log.
-            rng: the policy's own random numbers.
+            log: tracks of the vehicles in reality or in natural traffic, on the episode's clock, at any
+                spacing; None if there is no log.
+            rng: random numbers for this policy alone.
         """
         ...
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator
     ) -> tuple[JointPlan, Any]:
-        """Return futures of the vehicles it moves, at least one replanning period long.
+        """Return futures of the vehicles that it moves, at least one replanning period long, and its new memory.
 
-        SUMO drives the rest.
+        SUMO drives all other vehicles.
         """
         ...
 
 
 @runtime_checkable
 class UnboundedPolicy(TrafficPolicy, Protocol):
-    """A policy that, where ``everywhere`` is True, moves vehicles beyond the control radius too, as ``replay`` does.
+    """A policy that also moves vehicles beyond the control radius if ``everywhere`` is True, as ``replay`` does.
 
     Its episodes end with the log.
     """
@@ -48,5 +48,5 @@ class UnboundedPolicy(TrafficPolicy, Protocol):
 
 
 def moves_everywhere(policy: TrafficPolicy) -> bool:
-    """Return whether the control radius does not bind *policy*."""
+    """Return whether *policy* also moves vehicles beyond the control radius."""
     return isinstance(policy, UnboundedPolicy) and policy.everywhere

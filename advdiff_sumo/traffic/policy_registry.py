@@ -44,7 +44,7 @@ _OF_ATTACKS = dict.fromkeys(
 
 
 def make_policy(name: str, options: Mapping[str, Any]) -> TrafficPolicy:
-    """Return the policy that *name* stands for, set up with *options*.
+    """Return the policy called *name*, set up with *options*.
 
     A class may carry its options as a pydantic model, ``Options`` (a subclass of
     :class:`advdiff_sumo.config.Options`); they are checked against it, and the class is called with the keys

@@ -1,4 +1,4 @@
-"""Background that does what the log says, deaf to the target."""
+"""Background that follows the log, whatever the target does."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from advdiff_sumo.core.scene import Scene, Tracks
 if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
-_ALIGNED = 1e-6  # share of a step
+_ALIGNED_STEPS = 1e-6
+"""An instant this near to one of the log, in steps, needs no resampling."""
 
 
 class ReplayOptions(Options):
@@ -25,7 +26,7 @@ class ReplayOptions(Options):
 
     Attributes:
         step_s: spacing of the plan, the simulation's step.
-        period_s: how far each plan reaches; at least the time between two plans.
+        period_s: duration of each plan; at least the time between two plans.
         max_gap_s: longest gap in a logged track that is filled in; a longer one takes the vehicle away.
     """
 
@@ -37,8 +38,8 @@ class ReplayOptions(Options):
 class Replay:
     """Moves every logged agent but the target along its log; the memory is the log at the simulation's step.
 
-    Vehicles that the log brings in later are part of the plan, and become valid when they enter. A logged
-    vehicle of the scene whose log has ended stays in the plan with nothing valid: it leaves.
+    Vehicles that enter later are part of the plan and become valid when they enter. A logged vehicle of the scene
+    whose log has ended stays in the plan without a valid instant, so it leaves.
     """
 
     Options: ClassVar[type[ReplayOptions]] = ReplayOptions
@@ -63,7 +64,7 @@ class Replay:
                 "background 'replay' needs a log, and the seed scene has none; use 'sumo' or --scenes"
             )
         ahead = resample(log, self.options.step_s, t0_s=scene.time_s, max_gap_s=self.options.max_gap_s)
-        return _without_blips(ahead)
+        return _without_single_instants(ahead)
 
     def plan(
         self,
@@ -72,34 +73,36 @@ class Replay:
         memory: Tracks,
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[JointPlan, Tracks]:
-        """Return what the log does in the ``period_s`` from now; the memory does not change."""
+        """Return the log from now on for ``period_s``; the memory does not change."""
         step = self.options.step_s
         steps = max(1, round(self.options.period_s / step))
-        ahead = _cut(memory, scene.time_s + step, steps)
-        movable = {name for name, free in zip(scene.history.ids, scene.movable, strict=True) if free}
+        log = _cut(memory, scene.time_s + step, steps)
+        movable = {
+            name for name, is_movable in zip(scene.history.ids, scene.movable, strict=True) if is_movable
+        }
         fixed = set(scene.history.ids) - movable | {scene.target_id}
-        wanted = [
+        rows = [
             row
-            for row, name in enumerate(ahead.ids)
-            if name not in fixed and (name in movable or ahead.valid[row].any())
+            for row, name in enumerate(log.ids)
+            if name not in fixed and (name in movable or log.valid[row].any())
         ]
-        return JointPlan(ahead.rows(np.array(wanted, dtype=np.int64)), exact=True), memory
+        return JointPlan(log.rows(np.array(rows, dtype=np.int64)), exact=True), memory
 
 
 def _cut(tracks: Tracks, t0_s: float, steps: int) -> Tracks:
-    """Return *steps* instants from *t0_s* on; beyond the ends of *tracks* nothing is valid."""
+    """Return *steps* instants from *t0_s* on, invalid beyond the ends of *tracks*."""
     offset = (t0_s - tracks.t0_s) / tracks.dt_s
     first = round(offset)
-    if abs(offset - first) > _ALIGNED:
+    if abs(offset - first) > _ALIGNED_STEPS:
         return resample(tracks, tracks.dt_s, t0_s=t0_s, steps=steps)
-    lo, hi = np.clip([first, first + steps], 0, tracks.steps)
+    start, stop = np.clip([first, first + steps], 0, tracks.steps)
     before = min(max(-first, 0), steps)
-    part = tracks.window(int(lo), int(hi)).padded(before, steps - before - int(hi - lo))
+    part = tracks.window(int(start), int(stop)).padded(before, steps - before - int(stop - start))
     return replace(part, t0_s=t0_s)
 
 
-def _without_blips(tracks: Tracks) -> Tracks:
-    """Return *tracks* without presences of one instant: a vehicle logged once cannot be driven anywhere."""
-    side = np.zeros((tracks.agents, 1), dtype=np.bool_)
-    before, after = np.hstack((side, tracks.valid[:, :-1])), np.hstack((tracks.valid[:, 1:], side))
+def _without_single_instants(tracks: Tracks) -> Tracks:
+    """Return *tracks* without valid stretches of one instant, along which a vehicle cannot be driven."""
+    absent = np.zeros((tracks.agents, 1), dtype=np.bool_)
+    before, after = np.hstack((absent, tracks.valid[:, :-1])), np.hstack((tracks.valid[:, 1:], absent))
     return tracks.where(before | after)

@@ -1,4 +1,4 @@
-"""Background that SUMO's own models drive."""
+"""Background that SUMO's own driver models move."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class SumoTraffic:
-    """Moves nobody: SUMO drives the whole background."""
+    """Moves no vehicle: SUMO drives the whole background."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:
-        """Remember nothing."""
+        """Return no memory."""
 
     def plan(
         self,
@@ -33,5 +33,5 @@ class SumoTraffic:
 
 
 def plans_nothing(policy: TrafficPolicy) -> bool:
-    """Return whether SUMO drives everybody under *policy*: it plans as :class:`SumoTraffic` does."""
+    """Return whether *policy* moves no vehicle, as its ``plan`` is that of :class:`SumoTraffic`."""
     return getattr(type(policy), "plan", None) is SumoTraffic.plan

@@ -26,7 +26,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet import load_simnet
-from advdiff_sumo.traffic.background_plan import driven_of
+from advdiff_sumo.traffic.background_plan import steps_driven
 from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
 from advdiff_sumo.traffic.baselines.advsim_cost import (
     Ground,
@@ -210,7 +210,7 @@ class AdvSim(BaselinePolicy):
 
     def _warm(self, case: _Case) -> Tensor:
         """Return what the last plan had found, as many steps on as were driven since, (R, H, 2)."""
-        on = min(driven_of(case.task.memory.plan, case.task.view.scene), HORIZON_STEPS)
+        on = min(steps_driven(case.task.memory.plan, case.task.view.scene), HORIZON_STEPS)
         out = np.zeros((len(case.rows), HORIZON_STEPS, 2))
         for number, row in enumerate(case.rows.tolist()):
             old = case.task.memory.searched.get(case.task.view.ids[row])

@@ -18,7 +18,14 @@ from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.background_plan import (
+    Rules,
+    empty_plan,
+    outlook,
+    plausible_plan,
+    remaining_plan,
+    steps_driven,
+)
 from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
 from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
@@ -127,19 +134,19 @@ class BaselinePolicy(ABC):
         self, road: RoadMap, scene: Scene, memory: BaselineMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, BaselineMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
+        kept = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
-            return JointPlan(kept), replace(memory, driven=driven_of(memory.plan, scene))
+            return JointPlan(kept), replace(memory, driven=steps_driven(memory.plan, scene))
         view, lanes = outlook(road, scene, self.prior.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
-            return JointPlan(nobody(scene), attack=AttackState("any")), replace(memory, plan=None)
+            return JointPlan(empty_plan(scene), attack=AttackState("any")), replace(memory, plan=None)
         proposal = self.search(SearchTask(road, view, memory, seed))
         if self.listener is not None:
             self.listener(view, proposal.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
         plan = plausible_plan(
-            road, view, lanes, proposal.drawn, (memory.plan, driven_of(memory.plan, scene)), rules
+            road, view, lanes, proposal.drawn, (memory.plan, steps_driven(memory.plan, scene)), rules
         )
         state = AttackState("any", plan.attackers)
         memory = replace(proposal.memory, plan=plan.tracks, driven=0)

@@ -13,7 +13,14 @@ from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.core.threads import one_thread
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.background_plan import (
+    Rules,
+    empty_plan,
+    outlook,
+    plausible_plan,
+    remaining_plan,
+    steps_driven,
+)
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
 from advdiff_sumo.traffic.diffusion.draw import draw_plan
@@ -108,10 +115,10 @@ class DiffusionTraffic:
         self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, DiffusionMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = rest_of(road, memory.plan, memory.driven, scene, self.options.replan)
+        kept = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
         if kept is not None:
             plan = _with_standing(JointPlan(kept), memory.commitments, scene)
-            return plan, replace(memory, driven=driven_of(memory.plan, scene))
+            return plan, replace(memory, driven=steps_driven(memory.plan, scene))
         return self._afresh(road, scene, memory, rng)
 
     def _afresh(
@@ -125,7 +132,9 @@ class DiffusionTraffic:
         if self.listener is not None:
             self.listener(view, drawn)
         rules = Rules(self.options.licence, self.options.attackers, memory.commitments)
-        plan = plausible_plan(road, view, lanes, drawn, (memory.plan, driven_of(memory.plan, scene)), rules)
+        plan = plausible_plan(
+            road, view, lanes, drawn, (memory.plan, steps_driven(memory.plan, scene)), rules
+        )
         attack = plan.attack
         state = self._state(plan.attackers, attack.commitments)
         memory = DiffusionMemory(drawn.noise, drawn.shifts, plan.tracks, 0, attack.commitments)
@@ -150,7 +159,7 @@ class DiffusionTraffic:
             situation, licence = situation_of(road, view), licence_of(self.options.licence)
             _, kept = advance(situation, kept, self.options.attackers, PAUSE_S, licence)
             newcomers, kept = let_in(situation, kept)
-        plan = plan_with(nobody(view.scene), newcomers, self._state((), None))
+        plan = plan_with(empty_plan(view.scene), newcomers, self._state((), None))
         return _with_standing(plan, kept, view.scene), replace(memory, plan=None, commitments=kept)
 
 

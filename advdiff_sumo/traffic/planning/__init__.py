@@ -1,1 +1,1 @@
-"""What all backgrounds that plan share: futures, lanes ahead, who may attack, and the safeguard over every plan."""
+"""Shared by all backgrounds that plan: futures, lanes ahead, choice of attackers, and the safeguard."""

@@ -1,10 +1,16 @@
-"""Brakes planned vehicles along their own paths where plans would run through each other or a stop line.
+"""Slows vehicles along their planned paths where plans would collide or pass a stop line.
 
-Who brakes: of two whose boxes would meet, the one that has the other before its front; both where neither or both
-have. For one that stays where it is everybody brakes whom it meets: the middle of a bus is beside who drives into its
-front corner. Of two that would stay for each other one goes: who gets past the other, has the right of way, or moves.
-For one whose speed is not ours to change everybody brakes that has it before its front, even if it ought to brake
-itself. Nobody brakes for a vehicle that comes from behind, and attackers never brake for the target.
+Which vehicle brakes:
+
+1. If two footprints would overlap, the vehicle that has the other one in front of it brakes. If neither or both do,
+   both brake. Thus nobody brakes for a vehicle that approaches from behind.
+2. If one of the two stays where it is, the other one brakes, wherever the footprints touch. (The centre of a bus is
+   beside a car that hits its front corner.)
+3. If both would wait for each other, one goes (``_resolve_deadlocks``).
+4. If the speed of one of the two cannot be adjusted, the other brakes if it has that vehicle in front of it, even if
+   that vehicle ought to brake.
+
+Attackers never brake for the target.
 """
 
 from __future__ import annotations
@@ -20,104 +26,109 @@ from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
 
 LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
-"""Decelerations that are tried, the mildest that helps is taken; before them the plan itself."""
+"""Decelerations to try after the unchanged plan; the mildest that suffices is taken."""
 GAP_M = 1.0
-"""Room that is kept before and behind a vehicle, where there is any."""
+"""Clearance in front of and behind a vehicle."""
 SIDE_M = 0.15
-"""Room that is kept on each side."""
-_TIGHT_SIDE_M = 0.05
-"""The same between two vehicles that are both slow: who creeps past another one goes by with less."""
-_SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Shares of that room that are tried where two are nearer than it now."""
-_SAME_BEARING, _BEFORE_FRONT = 0.15, 0.3
-_STARTS_M, _STAYS_M = 0.3, 0.01
-_ROUNDS = 3
+"""Clearance on each side of a vehicle."""
+_SLOW_SIDE_M = 0.05
+"""Clearance on each side between two vehicles that are both slow."""
+_CLEARANCE_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of the clearance to try where two vehicles are nearer than the full clearance now."""
+_BEARING_TOLERANCE = 0.15
+"""Two bearings count as equal if their cosines differ by no more than this."""
+_IN_FRONT_COS = 0.3
+"""A vehicle is in front if the cosine of its bearing exceeds this."""
+_SETS_OFF_M, _STATIONARY_M = 0.3, 0.01
+"""A plan longer than the first sets off; one no longer than the second stays where it is."""
+_MAX_ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Braked:
-    """What became of the plans.
+    """Plans after braking.
 
     Attributes:
-        futures: with new speeds where somebody had to brake.
-        rows: (N,) who had to.
-        unsolved: (N,) whose box still meets another one's, however hard it brakes.
+        futures: the plans, with new speeds where a vehicle had to brake.
+        braked: (N,) whether the vehicle had to brake.
+        unsolved: (N,) whether its footprint still overlaps another one, however hard it brakes.
     """
 
     futures: Futures
-    rows: BoolArray
+    braked: BoolArray
     unsolved: BoolArray
 
 
 def brake_ahead(
     futures: Futures,
-    may: BoolArray,
-    minds: BoolArray,
+    adjustable: BoolArray,
+    may_brake_for: BoolArray,
     stop_m: FloatArray,
     steps: int,
     side_m: FloatArray | None = None,
-    yields: BoolArray | None = None,
+    must_yield: BoolArray | None = None,
 ) -> Braked:
-    """Return :func:`brake` of the first *steps* instants; who braked goes on from there at the speed it has then.
+    """Return :func:`brake` of the first *steps* instants; a braked vehicle keeps its last speed after them.
 
-    What is to happen later is drawn anew before it happens: two vehicles that would meet in five seconds are no
-    reason to brake today, and braking for all of them makes traffic stand still.
+    Later conflicts are left out because the vehicles replan before these happen. Traffic would come to a halt if
+    vehicles braked now for every conflict five seconds ahead.
     """
     if steps >= futures.steps:
-        return brake(futures, may, minds, stop_m, side_m, yields)
-    near = brake(futures.first(steps), may, minds, stop_m, side_m, yields)
-    slowed, path, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
+        return brake(futures, adjustable, may_brake_for, stop_m, side_m, must_yield)
+    near = brake(futures.first(steps), adjustable, may_brake_for, stop_m, side_m, must_yield)
+    slowed, paths, dt = futures.copy(), PlannedPaths(futures), futures.dt_s
     driven = near.futures.travelled_m()
-    for row in np.flatnonzero(near.rows).tolist():
+    for row in np.flatnonzero(near.braked).tolist():
         speed = near.futures.speed_mps[row, -1]
-        further = driven[row, -1] + speed * dt * np.arange(1, futures.steps - steps + 1)
-        xy, yaw = path.at(row, further)
-        stride = np.diff(np.minimum(further, path.s_m[row, -1]), prepend=driven[row, -1])
+        s = driven[row, -1] + speed * dt * np.arange(1, futures.steps - steps + 1)
+        xy, yaw = paths.at(row, s)
+        stride = np.diff(np.minimum(s, paths.s_m[row, -1]), prepend=driven[row, -1])
         tail = xy, yaw, np.maximum(stride, 0.0) / dt
         head = near.futures.xy_m[row, 1:], near.futures.yaw_rad[row, 1:], near.futures.speed_mps[row, 1:]
         slowed.put(row, *(np.concatenate(pair) for pair in zip(head, tail, strict=True)))
-    return Braked(slowed, near.rows, near.unsolved)
+    return Braked(slowed, near.braked, near.unsolved)
 
 
 def brake(
     futures: Futures,
-    may: BoolArray,
-    minds: BoolArray,
+    adjustable: BoolArray,
+    may_brake_for: BoolArray,
     stop_m: FloatArray,
     side_m: FloatArray | None = None,
-    yields: BoolArray | None = None,
+    must_yield: BoolArray | None = None,
 ) -> Braked:
-    """Return *futures* in which no two boxes meet, as far as braking can do it.
+    """Return *futures* slowed so that no footprints overlap, as far as braking can achieve it.
 
     Args:
         futures: plans and predictions of N road users.
-        may: (N,) whose speeds may be changed.
-        minds: (N, N) whether the first gives way to the second at all.
-        stop_m: (N,) distance along the own path that must not be passed; inf for none.
-        side_m: (N,) room that is kept to each, and by each, on its sides; None: ``SIDE_M``.
-        yields: (N, N) whether the second has the right of way over the first; None: nobody has.
+        adjustable: (N,) whether the road user's speeds may be changed.
+        may_brake_for: (N, N) whether the first road user may have to brake for the second.
+        stop_m: (N,) distance along the own path that must not be passed; inf: none.
+        side_m: (N,) lateral clearance that each keeps and that the others keep to it; None: ``SIDE_M``.
+        must_yield: (N, N) whether the second has the right of way over the first; None: nobody has.
     """
-    rights = np.zeros_like(minds) if yields is None else yields
+    rights = np.zeros_like(may_brake_for) if must_yield is None else must_yield
     sides = np.full(futures.agents, SIDE_M) if side_m is None else side_m
-    eased = futures.copy()
-    path = PlannedPaths(futures)
-    braked, unsolved = np.zeros(len(may), dtype=np.bool_), np.zeros(len(may), dtype=np.bool_)
-    for _ in range(_ROUNDS):
-        pairs = _conflicts(eased, minds & may[:, None], may, sides, rights)
-        late = may & (path.length_m(eased) > stop_m) & ~unsolved
-        rows = np.flatnonzero(pairs.any(axis=1) | late)
+    slowed = futures.copy()
+    paths = PlannedPaths(futures)
+    count = len(adjustable)
+    braked, unsolved = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    for _ in range(_MAX_ROUNDS):
+        must_brake = _conflicts(slowed, may_brake_for & adjustable[:, None], adjustable, sides, rights)
+        passes_stop = adjustable & (slowed.travelled_m()[:, -1] > stop_m) & ~unsolved
+        rows = np.flatnonzero(must_brake.any(axis=1) | passes_stop)
         if not len(rows):
             break
-        changed, before = False, eased.copy()
+        has_changed, previous = False, slowed.copy()
         for row in rows.tolist():
-            others = np.flatnonzero(pairs[row])
-            ok, moved = _ease(eased, before, path, row, others, float(stop_m[row]), sides)
-            unsolved[row] = not ok
-            braked[row] |= moved
-            changed |= moved
-        if not changed:
+            obstacles = np.flatnonzero(must_brake[row])
+            is_clear, was_slowed = _slow_down(slowed, previous, paths, row, obstacles, stop_m[row], sides)
+            unsolved[row] = not is_clear
+            braked[row] |= was_slowed
+            has_changed |= was_slowed
+        if not has_changed:
             break
-    return Braked(eased, braked, unsolved & braked)
+    return Braked(slowed, braked, unsolved & braked)
 
 
 @dataclass(frozen=True)
@@ -129,154 +140,168 @@ class _Boxes:
     half_m: FloatArray
 
     @staticmethod
-    def now(futures: Futures) -> _Boxes:
+    def at_present(futures: Futures) -> _Boxes:
         return _Boxes(futures.xy_m[:, 0], futures.yaw_rad[:, 0], 0.5 * futures.size_m)
 
     @staticmethod
-    def later(futures: Futures) -> _Boxes:
+    def at_half_steps(futures: Futures) -> _Boxes:
         return _Boxes(*futures.halves(), 0.5 * futures.size_m)
 
     def rows(self, rows: IntArray) -> _Boxes:
         return _Boxes(self.xy_m[rows], self.yaw_rad[rows], self.half_m[rows])
 
-    def gaps(self, other: _Boxes, room_m: FloatArray) -> FloatArray:
-        """Return the separation (N, …) of each box, grown by *room_m* (N, 2) along and across, from the other's."""
+    def gaps(self, other: _Boxes, clearance_m: FloatArray) -> FloatArray:
+        """Return the gaps (N, …) from the boxes, grown by *clearance_m* (N, 2) along and across, to *other*."""
         extra = (1,) * (self.yaw_rad.ndim - 1)
-        grown = (self.half_m + room_m).reshape(len(self.half_m), *extra, 2)
+        grown = (self.half_m + clearance_m).reshape(len(self.half_m), *extra, 2)
         half = other.half_m.reshape(len(other.half_m), *extra, 2)
         gaps = axis_gaps(other.xy_m - self.xy_m, self.yaw_rad, grown, other.yaw_rad, half)[0]
         return np.asarray(gaps.max(-1))
 
 
 def _conflicts(
-    futures: Futures, minds: BoolArray, may: BoolArray, side_m: FloatArray, yields: BoolArray
+    futures: Futures,
+    may_brake_for: BoolArray,
+    adjustable: BoolArray,
+    side_m: FloatArray,
+    must_yield: BoolArray,
 ) -> BoolArray:
-    """Return (N, N) whether the first has to brake for the second, of whom *may* (N,) can be asked to."""
-    boxes = _Boxes.later(futures)
+    """Return (N, N) whether the first road user must brake for the second; the arguments are those of `brake`."""
+    boxes = _Boxes.at_half_steps(futures)
     reach = 0.5 * np.hypot(*futures.size_m.T) + 0.5 * GAP_M
-    out = np.zeros_like(minds)
-    either = np.triu(minds | minds.T, k=1)
-    apart = np.linalg.norm(boxes.xy_m[:, None] - boxes.xy_m[None], axis=-1).min(axis=-1)
-    first, second = np.nonzero(either & (apart < reach[:, None] + reach))
+    must_brake = np.zeros_like(may_brake_for)
+    relevant = np.triu(may_brake_for | may_brake_for.T, k=1)
+    distance = np.linalg.norm(boxes.xy_m[:, None] - boxes.xy_m[None], axis=-1).min(axis=-1)
+    first, second = np.nonzero(relevant & (distance < reach[:, None] + reach))
     if not len(first):
-        return out
-    room, inside = _room(futures, first, second, side_m)
-    meets = boxes.rows(first).gaps(boxes.rows(second), room) < 0.0
-    hit = meets.any(axis=1) & ~inside
-    first, second, when = first[hit], second[hit], meets[hit].argmax(axis=1)
-    when = np.maximum(when - 1, 0)  # just before, when it still shows who is where
+        return must_brake
+    clearance, overlaps_now = _clearances(futures, first, second, side_m)
+    overlaps = boxes.rows(first).gaps(boxes.rows(second), clearance) < 0.0
+    collides = overlaps.any(axis=1) & ~overlaps_now
+    first, second, when = first[collides], second[collides], overlaps[collides].argmax(axis=1)
+    when = np.maximum(when - 1, 0)  # just before the overlap, when the bearings are still meaningful
     offset = boxes.xy_m[second, when] - boxes.xy_m[first, when]
     offset /= np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
-    mine = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
-    yours = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
-    out[first, second] = (mine >= yours - _SAME_BEARING) | (~may[second] & (mine > _BEFORE_FRONT))
-    out[second, first] = (yours >= mine - _SAME_BEARING) | (~may[first] & (yours > _BEFORE_FRONT))
-    stays = futures.travelled_m()[:, -1] <= _STAYS_M
-    one = stays[first] != stays[second]
-    out[first[one], second[one]] = stays[second[one]]
-    out[second[one], first[one]] = stays[first[one]]
-    out &= minds
-    _one_goes(futures, out, (first, second), mine < yours, room[hit], yields)
-    return out
+    # cosines of the bearings of the second from the first, and of the first from the second
+    bearing = (offset * unit(boxes.yaw_rad[first, when])).sum(-1)
+    bearing_back = -(offset * unit(boxes.yaw_rad[second, when])).sum(-1)
+    must_brake[first, second] = bearing >= bearing_back - _BEARING_TOLERANCE
+    must_brake[second, first] = bearing_back >= bearing - _BEARING_TOLERANCE
+    must_brake[first, second] |= ~adjustable[second] & (bearing > _IN_FRONT_COS)
+    must_brake[second, first] |= ~adjustable[first] & (bearing_back > _IN_FRONT_COS)
+    stationary = futures.travelled_m()[:, -1] <= _STATIONARY_M
+    one_moves = stationary[first] != stationary[second]
+    must_brake[first[one_moves], second[one_moves]] = stationary[second[one_moves]]
+    must_brake[second[one_moves], first[one_moves]] = stationary[first[one_moves]]
+    must_brake &= may_brake_for
+    less_ahead = bearing < bearing_back
+    _resolve_deadlocks(futures, must_brake, (first, second), less_ahead, clearance[collides], must_yield)
+    return must_brake
 
 
-def _one_goes(
+def _resolve_deadlocks(
     futures: Futures,
-    brakes: BoolArray,
+    must_brake: BoolArray,
     pairs: tuple[IntArray, IntArray],
-    less_squarely: BoolArray,
-    room_m: FloatArray,
-    yields: BoolArray,
+    first_less_ahead: BoolArray,
+    clearance_m: FloatArray,
+    must_yield: BoolArray,
 ) -> None:
-    """Let one of two go that would stay for each other for ever; in place.
+    """Let one of two vehicles go that would wait for each other for ever; in place.
 
-    These are two of whom one stands, or must yield. It is the one whose way leads past the other as that is now; where
-    that holds for both or neither, the one with the right of way, that moves already, or that has the other less
-    squarely before it. Nobody sets off before one that is no longer slow.
+    Such pairs must brake for each other, both plan to move, and one of them stands or must yield. The vehicle goes
+    whose plan leads past the present box of the other. If both or neither does, the right of way decides, then which
+    one moves already, then which one has the other less directly in front of it. No vehicle goes if the other one is
+    faster than ``WALKS_MPS``.
 
     Args:
         futures: plans of N road users.
-        brakes: (N, N) who has to brake for whom.
-        pairs: (P,) rows of the first ones and of the second ones.
-        less_squarely: (P,) whether the first one has the second one less squarely before it.
-        room_m: (P, 2) room to keep, along and across.
-        yields: (N, N) whether the second has the right of way over the first.
+        must_brake: (N, N) whether the first must brake for the second.
+        pairs: (P,) rows of the first vehicles and (P,) of the second ones.
+        first_less_ahead: (P,) whether the first has the second less directly in front of it than vice versa.
+        clearance_m: (P, 2) clearance along and across.
+        must_yield: (N, N) whether the second has the right of way over the first.
     """
     first, second = pairs
-    starts, speed = futures.travelled_m()[:, -1] > _STARTS_M, futures.speed_mps[:, 0]
-    both = brakes[first, second] & brakes[second, first] & starts[first] & starts[second]
-    one_yields = yields[first, second] != yields[second, first]
-    both &= one_yields | (np.minimum(speed[first], speed[second]) < STANDS_MPS)
-    if not both.any():
+    sets_off, speed = futures.travelled_m()[:, -1] > _SETS_OFF_M, futures.speed_mps[:, 0]
+    deadlocked = must_brake[first, second] & must_brake[second, first] & sets_off[first] & sets_off[second]
+    one_yields = must_yield[first, second] != must_yield[second, first]
+    deadlocked &= one_yields | (np.minimum(speed[first], speed[second]) < STANDS_MPS)
+    if not deadlocked.any():
         return
-    first, second, room, one_yields = first[both], second[both], room_m[both], one_yields[both]
+    first, second, clearance = first[deadlocked], second[deadlocked], clearance_m[deadlocked]
     stands, slow = speed < STANDS_MPS, speed < WALKS_MPS
-    moves = np.where(stands[first] == stands[second], less_squarely[both], ~stands[first])
-    right = np.where(one_yields, yields[second, first], moves)
-    passes = _passes(futures, first, second, room)
-    first_goes = np.where(passes == _passes(futures, second, first, room), right, passes)
-    waits = np.where(first_goes, second, first)
-    goes = np.where(first_goes, first, second)
-    goes, waits = goes[slow[waits]], waits[slow[waits]]
-    brakes[goes, waits] = False
+    first_moves = np.where(stands[first] == stands[second], first_less_ahead[deadlocked], ~stands[first])
+    first_has_priority = np.where(one_yields[deadlocked], must_yield[second, first], first_moves)
+    first_passes = _passes(futures, first, second, clearance)
+    second_passes = _passes(futures, second, first, clearance)
+    first_goes = np.where(first_passes == second_passes, first_has_priority, first_passes)
+    waiting = np.where(first_goes, second, first)
+    going = np.where(first_goes, first, second)
+    going, waiting = going[slow[waiting]], waiting[slow[waiting]]
+    must_brake[going, waiting] = False
 
 
-def _passes(futures: Futures, first: IntArray, second: IntArray, room_m: FloatArray) -> BoolArray:
-    """Return (P,) whether the first ones' plans lead past the boxes that the second ones have now."""
-    driven = _Boxes.later(futures).rows(first)
-    yaw = np.broadcast_to(futures.yaw_rad[second, :1], driven.yaw_rad.shape)
-    still = _Boxes(futures.xy_m[second, :1], yaw, 0.5 * futures.size_m[second])
-    return np.asarray((driven.gaps(still, room_m) >= 0.0).all(axis=1))
+def _passes(futures: Futures, first: IntArray, second: IntArray, clearance_m: FloatArray) -> BoolArray:
+    """Return (P,) whether the plans of *first* (P,) lead past the present boxes of *second* (P,)."""
+    moving = _Boxes.at_half_steps(futures).rows(first)
+    yaw = np.broadcast_to(futures.yaw_rad[second, :1], moving.yaw_rad.shape)
+    fixed = _Boxes(futures.xy_m[second, :1], yaw, 0.5 * futures.size_m[second])
+    return np.asarray((moving.gaps(fixed, clearance_m) >= 0.0).all(axis=1))
 
 
-def _room(
+def _clearances(
     futures: Futures, first: IntArray, second: IntArray, side_m: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return (P, 2) the room to keep in each pair, as much of it as there is now, and (P,) who overlaps now."""
-    now = _Boxes.now(futures)
-    mine, yours = now.rows(first), now.rows(second)
+    """Return the clearance (P, 2) to keep in each pair, at most what there is now, and (P,) who overlaps now."""
+    present = _Boxes.at_present(futures)
+    first_boxes, second_boxes = present.rows(first), present.rows(second)
     side = np.maximum(side_m[first], side_m[second])
     slow = futures.speed_mps[:, 0] < WALKS_MPS
-    side = np.where((side <= SIDE_M) & slow[first] & slow[second], _TIGHT_SIDE_M, side)
+    side = np.where((side <= SIDE_M) & slow[first] & slow[second], _SLOW_SIDE_M, side)
     full = np.stack((np.full(len(first), GAP_M), side), axis=-1)
-    room = np.zeros_like(full)
-    for share in reversed(_SHARES):
-        there = mine.gaps(yours, share * full) >= 0.0
-        room[there] = share * full[there]
-    return room, mine.gaps(yours, np.zeros_like(full)) < 0.0
+    clearance = np.zeros_like(full)
+    for share in reversed(_CLEARANCE_SHARES):
+        fits = first_boxes.gaps(second_boxes, share * full) >= 0.0
+        clearance[fits] = share * full[fits]
+    return clearance, first_boxes.gaps(second_boxes, np.zeros_like(full)) < 0.0
 
 
-def _ease(
+def _slow_down(
     futures: Futures,
-    before: Futures,
-    path: PlannedPaths,
+    previous: Futures,
+    paths: PlannedPaths,
     row: int,
-    others: IntArray,
+    obstacles: IntArray,
     stop_m: float,
     side_m: FloatArray,
 ) -> tuple[bool, bool]:
-    """Let *row* brake as mildly as keeps it clear of *others* as they were *before*, in place.
+    """Let *row* brake as mildly as suffices to avoid *obstacles*, as they are in *previous*, in place.
 
-    Returns whether it is clear, and whether it changed.
+    Returns:
+        Whether it avoids them and the stop line, and whether its plan was changed.
     """
-    driven = _ladder(before, row)  # (C, T)
-    clear = driven[:, -1] <= stop_m
-    free = np.full(len(driven), np.inf)
-    if len(others):
-        free = _clear_steps(before, path, row, others, driven, side_m)
-        clear &= np.isinf(free)
-    best = int(clear.argmax()) if clear.any() else int(np.argmax(free + 1e-3 * np.arange(len(free))))
-    if not clear.any() and not len(others):
-        best = len(driven) - 1
-    if best == 0:
-        return bool(clear[0]), False
-    xy, yaw = path.at(row, driven[best])
-    futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[best], prepend=0.0), futures.dt_s))
-    return bool(clear[best]), True
+    driven = _braking_profiles(previous, row)  # (C, T)
+    is_clear = driven[:, -1] <= stop_m
+    first_overlap = np.full(len(driven), np.inf)
+    if len(obstacles):
+        first_overlap = _first_overlaps(previous, paths, row, obstacles, driven, side_m)
+        is_clear &= np.isinf(first_overlap)
+    if is_clear.any():
+        chosen = int(is_clear.argmax())
+    elif len(obstacles):  # the one that collides last, of several the hardest braking
+        chosen = int(np.argmax(first_overlap + 1e-3 * np.arange(len(first_overlap))))
+    else:
+        chosen = len(driven) - 1
+    if chosen == 0:
+        return bool(is_clear[0]), False
+    xy, yaw = paths.at(row, driven[chosen])
+    futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[chosen], prepend=0.0), futures.dt_s))
+    return bool(is_clear[chosen]), True
 
 
-def _ladder(futures: Futures, row: int) -> FloatArray:
-    """Return distances driven (C, T): by the plan as it is, then by the plan or a deceleration, what is less."""
+def _braking_profiles(futures: Futures, row: int) -> FloatArray:
+    """Return distances driven (C, T): as planned, then for each deceleration, at most as planned."""
     planned = futures.travelled_m()[row, 1:]
     speed = futures.speed_mps[row, 0]
     time = futures.dt_s * np.arange(1, futures.steps + 1)
@@ -286,19 +311,25 @@ def _ladder(futures: Futures, row: int) -> FloatArray:
     return np.vstack((planned, np.minimum(planned, braked)))
 
 
-def _clear_steps(
-    futures: Futures, path: PlannedPaths, row: int, others: IntArray, driven: FloatArray, side_m: FloatArray
+def _first_overlaps(
+    futures: Futures,
+    paths: PlannedPaths,
+    row: int,
+    obstacles: IntArray,
+    driven_m: FloatArray,
+    side_m: FloatArray,
 ) -> FloatArray:
-    """Return (C,) the half step at which a ladder's rung first meets one of *others*; inf where it never does."""
-    begin = np.hstack((np.zeros((len(driven), 1)), driven[:, :-1]))
-    halves = np.empty((len(driven), 2 * futures.steps))
-    halves[:, ::2], halves[:, 1::2] = 0.5 * (begin + driven), driven
-    xy, yaw = path.at(row, halves)
+    """Return (C,) the half step at which each profile *driven_m* (C, T) first meets an obstacle; inf: never."""
+    begin = np.hstack((np.zeros((len(driven_m), 1)), driven_m[:, :-1]))
+    half_steps = np.empty((len(driven_m), 2 * futures.steps))
+    half_steps[:, ::2], half_steps[:, 1::2] = 0.5 * (begin + driven_m), driven_m
+    xy, yaw = paths.at(row, half_steps)
     all_xy, all_yaw = futures.halves()
-    room, _ = _room(futures, np.full(len(others), row), others, side_m)
+    clearances, _ = _clearances(futures, np.full(len(obstacles), row), obstacles, side_m)
     half = 0.5 * futures.size_m
-    meets = np.zeros(halves.shape, dtype=np.bool_)
-    for other, wide in zip(others.tolist(), room, strict=True):
-        turned = np.broadcast_to(all_yaw[other], yaw.shape)
-        meets |= axis_gaps(all_xy[other] - xy, yaw, half[row] + wide, turned, half[other])[0].max(-1) < 0.0
-    return np.where(meets.any(axis=1), meets.argmax(axis=1), np.inf)
+    overlaps = np.zeros(half_steps.shape, dtype=np.bool_)
+    for obstacle, clearance in zip(obstacles.tolist(), clearances, strict=True):
+        other_yaw = np.broadcast_to(all_yaw[obstacle], yaw.shape)
+        gaps = axis_gaps(all_xy[obstacle] - xy, yaw, half[row] + clearance, other_yaw, half[obstacle])[0]
+        overlaps |= gaps.max(-1) < 0.0
+    return np.where(overlaps.any(axis=1), overlaps.argmax(axis=1), np.inf)

@@ -1,4 +1,4 @@
-"""What a policy's networks, or its search, come to: a joint future, and what led to it."""
+"""The proposal of a policy's networks or search: a joint future and how it came about."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from advdiff_sumo.models.decoder import Rollout
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn plan.
+    """A proposed plan.
 
     Attributes:
-        rollout: joint future of the view's agents, a batch of one.
-        noise: id → starting noise that led to it.
-        attackers: ids that were guided.
-        shifts: id → what an attacker's latent was shifted by in the last step, (Z,).
-        latents: (A, Z) what the decoder was given, scaled.
+        rollout: joint future of the A agents of the view, a batch of one.
+        noise: id → starting noise.
+        attackers: ids of the guided vehicles.
+        latents: (A, Z) scaled latents that were decoded.
+        shifts: id → shift (Z,) of an attacker's latent in the last step.
     """
 
     rollout: Rollout

@@ -1,7 +1,8 @@
-"""Who follows the target keeps so far behind that it can stop should that brake in full: a safe speed.
+"""Keeps a follower of the target so far behind that it can stop if the target brakes in full.
 
-Looking for boxes that meet in the next seconds is too late for it on a motorway: predictions do not say that a target
-brakes before it does, nor for how long. The speed is that of Gipps (1981, doi:10.1016/0191-2615(81)90037-0).
+On a motorway it is too late to brake when predicted boxes overlap within the next seconds: a prediction does not show
+that the target will brake, nor for how long. The safe speed is that of Gipps (1981,
+doi:10.1016/0191-2615(81)90037-0).
 """
 
 from __future__ import annotations
@@ -17,58 +18,59 @@ from advdiff_sumo.traffic.planning.futures import Futures
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
 
 OWN_BRAKE_MPS2 = 7.0
-"""Braking from the next plan on with which it has to be able to stop."""
-_SAME_WAY = 0.7
-_CREEPS_M = 0.1
-"""Who plans to drive less than this along either axis does not get to anybody."""
-_EASES_STEPS = 2
-"""Instants for which it brakes, unless it is planned anew; later it goes on at the speed that it has then."""
+"""Deceleration with which the follower must be able to stop, from the next plan on."""
+_SAME_DIRECTION_COS = 0.7
+_SHORTEST_PATH_M = 0.1
+"""A plan that moves less than this along both axes reaches nobody."""
+_BRAKING_STEPS = 2
+"""Instants for which the follower brakes; afterwards it keeps its speed until it is planned anew."""
 
 
 def keep_back(futures: Futures, rows: BoolArray, target: int, ladder_mps2: tuple[float, ...]) -> BoolArray:
-    """Let those of *rows* (N,) that follow *target* brake, as mildly as suffices, in place.
+    """Let followers of *target* among *rows* (N,) brake as mildly as suffices, in place.
 
-    It suffices that it drives on for one step, then brakes with ``OWN_BRAKE_MPS2``, and stops behind a target that
-    brakes with ``FULL_BRAKE_MPS2`` from now on.
+    Braking suffices if the follower can drive on for one step, then brake with ``OWN_BRAKE_MPS2``, and stop behind a
+    target that brakes with ``FULL_BRAKE_MPS2`` from now on.
 
     Args:
         futures: plans and predictions of N road users.
         rows: whose plans may be changed.
         target: row of the target.
-        ladder_mps2: decelerations that are tried, mildest first; where none suffices it is the last.
+        ladder_mps2: decelerations to try, mildest first; the last one is taken if none suffices.
 
     Returns:
-        (N,) who brakes.
+        (N,) whether the vehicle brakes.
     """
-    out = np.zeros(futures.agents, dtype=np.bool_)
-    may_follow = rows & _near_plan(futures, target)
+    braked = np.zeros(futures.agents, dtype=np.bool_)
+    may_follow = rows & _is_near_path(futures, target)
     if not may_follow.any():
-        return out
-    path = PlannedPaths(futures)
+        return braked
+    paths = PlannedPaths(futures)
     for row in np.flatnonzero(may_follow).tolist():
-        place = _place_ahead(futures, row, target)
-        if place is None:
+        lead = _lead_gap(futures, row, target)
+        if lead is None:
             continue
-        driven = _driven(futures, row, ladder_mps2)  # (C, T)
+        gap, lead_speed = lead
+        driven = _braking_profiles(futures, row, ladder_mps2)  # (C, T)
         speed = 2.0 * driven[:, 0] / futures.dt_s - futures.speed_mps[row, 0]
-        stops = driven[:, 0] + 0.5 * np.maximum(speed, 0.0) ** 2 / OWN_BRAKE_MPS2
-        enough = stops + GAP_M <= place[0] + 0.5 * place[1] ** 2 / FULL_BRAKE_MPS2
-        best = int(enough.argmax()) if enough.any() else len(driven) - 1
-        if best > 0:
-            xy, yaw = path.at(row, driven[best])
-            futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[best], prepend=0.0), futures.dt_s))
-            out[row] = True
-    return out
+        stop_distance = driven[:, 0] + 0.5 * np.maximum(speed, 0.0) ** 2 / OWN_BRAKE_MPS2
+        suffices = stop_distance + GAP_M <= gap + 0.5 * lead_speed**2 / FULL_BRAKE_MPS2
+        chosen = int(suffices.argmax()) if suffices.any() else len(driven) - 1
+        if chosen > 0:
+            xy, yaw = paths.at(row, driven[chosen])
+            futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[chosen], prepend=0.0), futures.dt_s))
+            braked[row] = True
+    return braked
 
 
-def _near_plan(futures: Futures, target: int) -> BoolArray:
-    """Return (N,) whose path goes anywhere and has the rear of the target within its bounding box, with room."""
+def _is_near_path(futures: Futures, target: int) -> BoolArray:
+    """Return (N,) whether a path moves at all and its bounding box, enlarged, holds the rear of the target."""
     low, high = futures.xy_m.min(axis=1), futures.xy_m.max(axis=1)
     width = futures.size_m[:, 1] + futures.size_m[target, 1]
-    room = (0.5 * (futures.size_m[:, 0] + width) + SIDE_M)[:, None]
+    margin = (0.5 * (futures.size_m[:, 0] + width) + SIDE_M)[:, None]
     rear = _rear(futures, target)
-    within = ((low - room <= rear) & (rear <= high + room)).all(axis=1)
-    return np.asarray(within & ((high - low).max(axis=1) >= _CREEPS_M))
+    within = ((low - margin <= rear) & (rear <= high + margin)).all(axis=1)
+    return np.asarray(within & ((high - low).max(axis=1) >= _SHORTEST_PATH_M))
 
 
 def _rear(futures: Futures, row: int) -> FloatArray:
@@ -77,27 +79,27 @@ def _rear(futures: Futures, row: int) -> FloatArray:
     return np.asarray(futures.xy_m[row, 0] - 0.5 * futures.size_m[row, 0] * heading)
 
 
-def _place_ahead(futures: Futures, row: int, target: int) -> tuple[float, float] | None:
-    """Return the bumper gap from *row* to *target* on its planned path, and the speed of that along it.
+def _lead_gap(futures: Futures, row: int, target: int) -> tuple[float, float] | None:
+    """Return the bumper-to-bumper gap from *row* to *target* along its planned path, and the target's speed along it.
 
-    None where the target is not on it, is beside, or comes the other way.
+    None if the target is not ahead on the path, is beside it, or does not drive in its direction.
     """
-    line = Polyline.of(futures.xy_m[row])
+    path = Polyline.of(futures.xy_m[row])
     yaw = float(futures.yaw_rad[target, 0])
-    s, left = (float(value) for value in line.project(_rear(futures, target), extrapolate=True))
-    cos = float(np.cos(yaw - float(line.at(float(np.clip(s, 0.0, line.length_m)))[1])))
+    s, left = (float(value) for value in path.project(_rear(futures, target), extrapolate=True))
+    cos = float(np.cos(yaw - float(path.at(float(np.clip(s, 0.0, path.length_m)))[1])))
     gap = s - 0.5 * float(futures.size_m[row, 0])
-    aside = 0.5 * float(futures.size_m[[row, target], 1].sum()) + SIDE_M
-    if abs(left) > aside or cos < _SAME_WAY or not 0.0 < gap < line.length_m:
+    farthest_aside = 0.5 * float(futures.size_m[[row, target], 1].sum()) + SIDE_M
+    if abs(left) > farthest_aside or cos < _SAME_DIRECTION_COS or not 0.0 < gap < path.length_m:
         return None
     return gap, max(float(futures.speed_mps[target, 0]) * cos, 0.0)
 
 
-def _driven(futures: Futures, row: int, ladder_mps2: tuple[float, ...]) -> FloatArray:
-    """Return distances driven (C, T): by the plan as it is, then by the plan or each deceleration, what is less."""
+def _braking_profiles(futures: Futures, row: int, ladder_mps2: tuple[float, ...]) -> FloatArray:
+    """Return distances driven (C, T): as planned, then for each deceleration, at most as planned."""
     planned = futures.travelled_m()[row, 1:]
     speed, dt = float(futures.speed_mps[row, 0]), futures.dt_s
     steps = np.arange(futures.steps + 1)
-    speeds = np.maximum(speed - np.array(ladder_mps2)[:, None] * dt * np.minimum(steps, _EASES_STEPS), 0.0)
-    eased = np.cumsum(0.5 * dt * (speeds[:, 1:] + speeds[:, :-1]), axis=1)
-    return np.vstack((planned, np.minimum(planned, eased)))
+    speeds = np.maximum(speed - np.array(ladder_mps2)[:, None] * dt * np.minimum(steps, _BRAKING_STEPS), 0.0)
+    braked = np.cumsum(0.5 * dt * (speeds[:, 1:] + speeds[:, :-1]), axis=1)
+    return np.vstack((planned, np.minimum(planned, braked)))

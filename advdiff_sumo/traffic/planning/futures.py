@@ -1,4 +1,4 @@
-"""Planned motions of everybody around, as arrays that the safeguard works on."""
+"""Planned and predicted motions of all road users, as arrays for the safeguard."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from advdiff_sumo.models.decoder import Rollout
 
 STANDS_MPS = 0.2
-"""A vehicle that is slower stands: what it moves is noise, not a way that it drives."""
+"""A slower vehicle counts as standing: its motion is noise."""
 WALKS_MPS = 2.0
-"""A vehicle that is slower creeps: it can halt at once, and gets past others, or off a junction, by inches."""
+"""A slower vehicle creeps: it can halt at once, and needs long to pass others or to clear a junction."""
 
 
 @dataclass(frozen=True)
 class Futures(KinematicStates):
-    """States of N road users now and at T instants to come.
+    """States of N road users now and at T future instants.
 
     Attributes:
         xy_m: (N, T + 1, 2) box centres; index 0 is now.
@@ -45,49 +45,51 @@ class Futures(KinematicStates):
 
     @property
     def steps(self) -> int:
-        """Number of instants T to come."""
+        """Number of future instants T."""
         return int(self.yaw_rad.shape[1]) - 1
 
     def put(self, row: int, xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray) -> None:
-        """Overwrite the plan of *row*: (T, 2), (T,), (T,)."""
+        """Overwrite the plan of *row* with positions (T, 2), headings (T,) and speeds (T,)."""
         self.xy_m[row, 1:], self.yaw_rad[row, 1:], self.speed_mps[row, 1:] = xy_m, yaw_rad, speed_mps
 
     def copy(self) -> Futures:
-        """Return the same with arrays of its own."""
+        """Return a copy with its own arrays."""
         return self.mapped(np.copy)
 
     def first(self, steps: int) -> Futures:
-        """Return now and the first *steps* instants."""
+        """Return the present and the first *steps* instants."""
         return self.mapped(lambda part: part[:, : steps + 1])
 
     def lasting(self, steps: int) -> Futures:
-        """Return now and *steps* instants; who has no plan for so long goes on at its last velocity."""
+        """Return the present and *steps* instants; beyond their ends, plans continue at their last velocity."""
         if steps <= self.steps:
             return self.first(steps)
         last = self.xy_m[:, -1], self.yaw_rad[:, -1], self.speed_mps[:, -1]
-        rest = coasting(*last, self.size_m, steps - self.steps, self.dt_s)
+        tail = coasting(*last, self.size_m, steps - self.steps, self.dt_s)
         return replace(
             self,
-            xy_m=np.concatenate((self.xy_m, rest.xy_m[:, 1:]), axis=1),
-            yaw_rad=np.concatenate((self.yaw_rad, rest.yaw_rad[:, 1:]), axis=1),
-            speed_mps=np.concatenate((self.speed_mps, rest.speed_mps[:, 1:]), axis=1),
+            xy_m=np.concatenate((self.xy_m, tail.xy_m[:, 1:]), axis=1),
+            yaw_rad=np.concatenate((self.yaw_rad, tail.yaw_rad[:, 1:]), axis=1),
+            speed_mps=np.concatenate((self.speed_mps, tail.speed_mps[:, 1:]), axis=1),
         )
 
     def halves(self) -> tuple[FloatArray, FloatArray]:
-        """Return positions (N, 2 T, 2) and headings (N, 2 T) at every half step from now on, now left out."""
+        """Return positions (N, 2 T, 2) and headings (N, 2 T) at every future half step."""
         xy, yaw = with_middles(self.xy_m, self.yaw_rad)
         return xy[:, 1:].copy(), yaw[:, 1:].copy()
 
     def travelled_m(self) -> FloatArray:
-        """Return the distance driven (N, T + 1) since now."""
+        """Return the distances driven since now (N, T + 1)."""
         stride = np.linalg.norm(np.diff(self.xy_m, axis=1), axis=-1)
         return np.concatenate((np.zeros((self.agents, 1)), np.cumsum(stride, axis=1)), axis=1)
 
 
 def futures_of(now: Tracks, rollout: Rollout) -> Futures:
-    """Return the first scene of *rollout* in the world's frame, with the present, the last instant of *now*, first.
+    """Return the first scene of *rollout* in the world's frame, after the present states.
 
-    The scene's origin is the first agent of *now*.
+    Args:
+        now: tracks whose last instant is the present; its first agent is the origin of the rollout.
+        rollout: futures in the scene's frame.
     """
     origin = now.xy_m[0, -1]
     xy, yaw, speed = (
@@ -105,7 +107,16 @@ def futures_of(now: Tracks, rollout: Rollout) -> Futures:
 def coasting(
     xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, size_m: FloatArray, steps: int, dt_s: float
 ) -> Futures:
-    """Return the futures of N road users that keep their velocity: (N, 2), (N,), (N,), (N, 2)."""
+    """Return the futures of N road users that keep their velocity.
+
+    Args:
+        xy_m: (N, 2) box centres now.
+        yaw_rad: (N,) headings.
+        speed_mps: (N,) speeds.
+        size_m: (N, 2) length and width.
+        steps: number of future instants T.
+        dt_s: spacing.
+    """
     time = dt_s * np.arange(steps + 1)
     xy = xy_m[:, None] + (speed_mps[:, None] * time)[..., None] * unit(yaw_rad)[:, None]
     return Futures(
@@ -118,7 +129,7 @@ def coasting(
 
 
 def join(first: Futures, second: Futures) -> Futures:
-    """Return both, *first* in front."""
+    """Return the road users of *first*, then those of *second*."""
     return Futures(
         np.concatenate((first.xy_m, second.xy_m)),
         np.concatenate((first.yaw_rad, second.yaw_rad)),
@@ -128,7 +139,7 @@ def join(first: Futures, second: Futures) -> Futures:
     )
 
 
-def standing(futures: Futures, rows: BoolArray) -> None:
+def stand_still(futures: Futures, rows: BoolArray) -> None:
     """Let *rows* (N,) stay exactly where they are, in place."""
     futures.xy_m[rows, 1:] = futures.xy_m[rows, :1]
     futures.yaw_rad[rows, 1:] = futures.yaw_rad[rows, :1]

@@ -1,7 +1,6 @@
-"""Drives vehicles that nobody plans for any more along their lanes, among everybody else, until SUMO can take them.
+"""Drives vehicles that have no plan any more along their lanes until SUMO can take them back.
 
-They go on along their lanes, under the safeguard, so that who is left in a turn clears the junction in the gaps of
-the others.
+They pass through the safeguard. A vehicle left in the middle of a turn thus clears the junction in a gap of traffic.
 """
 
 from __future__ import annotations
@@ -24,54 +23,54 @@ from advdiff_sumo.traffic.planning.way_out import way_out
 
 
 def return_to_lanes(road: RoadMap, scene: Scene, duration_s: float, plans: Tracks | None = None) -> Futures:
-    """Return what everybody in *scene* does for *duration_s* or longer, where movable vehicles follow their lanes.
+    """Return futures of all road users in *scene* in which the movable vehicles follow their lanes.
 
-    The others drive as planned; who has no plan goes along its lane, no faster than now, or straight on. A movable
-    vehicle that is on no lane stops.
+    A movable vehicle on no lane stops. The others drive as planned; those without a plan follow their lanes, no
+    faster than now, or go straight on where there is none.
 
     Args:
         road: the map.
-        scene: an instant; its history may be of now alone.
-        duration_s: for which the futures are needed at least.
-        plans: of others, whose first instant is one model step from now; of another spacing they are not read.
+        scene: an instant; its history may hold the present alone.
+        duration_s: shortest duration of the futures.
+        plans: plans of others, from one model step after now; ignored if their spacing is not the model step.
     """
     now = scene.history
-    state = now.xy_m[:, -1], now.yaw_rad[:, -1], now.speed_mps[:, -1]
-    watched = _watched(road, scene)
-    drives = np.array([lane is not None for lane in watched.lanes]) & (now.classes != AgentClass.PEDESTRIAN)
+    present = now.xy_m[:, -1], now.yaw_rad[:, -1], now.speed_mps[:, -1]
+    inputs = _safeguard_input(road, scene)
+    on_lane = np.array([lane is not None for lane in inputs.lanes]) & (now.classes != AgentClass.PEDESTRIAN)
     steps = max(FUTURE_STEPS, math.ceil(duration_s / MODEL_STEP_S))
-    futures = coasting(*state, now.size_m, steps, MODEL_STEP_S)
-    _brake_to_stand(futures, watched.planned & ~drives)
-    back_to_lane(futures, np.flatnonzero(drives), watched)
-    _keep_speed(futures, drives & ~watched.planned)
+    futures = coasting(*present, now.size_m, steps, MODEL_STEP_S)
+    _brake_to_standstill(futures, inputs.is_planned & ~on_lane)
+    back_to_lane(futures, np.flatnonzero(on_lane), inputs)
+    _bound_to_present_speed(futures, on_lane & ~inputs.is_planned)
     if plans is not None and abs(plans.dt_s - MODEL_STEP_S) < 1e-9:
-        _as_planned(futures, scene, plans)
-    return safeguard(road, futures, watched).futures
+        _apply_plans(futures, scene, plans)
+    return safeguard(road, futures, inputs).futures
 
 
-def _watched(road: RoadMap, scene: Scene) -> SafeguardInput:
-    """Return what the safeguard has to know: of what was before now it knows nothing."""
+def _safeguard_input(road: RoadMap, scene: Scene) -> SafeguardInput:
+    """Return the input of the safeguard, without knowledge of the past."""
     now, nobody = scene.history, np.zeros(scene.history.agents, dtype=np.bool_)
     xy, yaw = now.xy_m[:, -1], now.yaw_rad[:, -1]
     lanes = lanes_ahead(road, xy, yaw, scene.routes)
     for row in np.flatnonzero(scene.movable).tolist():
         lanes[row] = lanes[row] or way_out(road, xy[row], float(yaw[row]))
     return SafeguardInput(
-        planned=scene.movable,
-        attacker=nobody,
+        is_planned=scene.movable,
+        is_attacker=nobody,
         target=scene.target,
-        motor=np.isin(now.classes, MOTOR_CLASSES),
-        people=np.isin(now.classes, PEOPLE),
-        stood=nobody,
-        dawdled=nobody,
-        over_limit=np.where(scene.movable, NATURAL_OVER_LIMIT, 1.0),
+        is_motor=np.isin(now.classes, MOTOR_CLASSES),
+        is_unprotected=np.isin(now.classes, PEOPLE),
+        has_stood=nobody,
+        has_crept=nobody,
+        limit_share=np.where(scene.movable, NATURAL_OVER_LIMIT, 1.0),
         lanes=lanes,
         signals=scene.signals,
-        waits_m=np.full(now.agents, np.inf),
+        yield_stop_m=np.full(now.agents, np.inf),
     )
 
 
-def _brake_to_stand(futures: Futures, rows: BoolArray) -> None:
+def _brake_to_standstill(futures: Futures, rows: BoolArray) -> None:
     """Let *rows* (N,) stop straight ahead, in place."""
     time, paths = futures.dt_s * np.arange(1, futures.steps + 1), PlannedPaths(futures.copy())
     for row in np.flatnonzero(rows).tolist():
@@ -81,8 +80,8 @@ def _brake_to_stand(futures: Futures, rows: BoolArray) -> None:
         futures.put(row, xy, yaw, speed - LOST_BRAKE_MPS2 * moving)
 
 
-def _keep_speed(futures: Futures, rows: BoolArray) -> None:
-    """Let *rows* (N,) drive their paths no faster than now, in place."""
+def _bound_to_present_speed(futures: Futures, rows: BoolArray) -> None:
+    """Let *rows* (N,) drive their paths no faster than they are now, in place."""
     paths = PlannedPaths(futures.copy())
     time = futures.dt_s * np.arange(futures.steps + 1)
     for row in np.flatnonzero(rows).tolist():
@@ -91,8 +90,11 @@ def _keep_speed(futures: Futures, rows: BoolArray) -> None:
         futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven), futures.dt_s))
 
 
-def _as_planned(futures: Futures, scene: Scene, plans: Tracks) -> None:
-    """Let those drive as *plans* say that have one for all its instants, going on at its last velocity, in place."""
+def _apply_plans(futures: Futures, scene: Scene, plans: Tracks) -> None:
+    """Overwrite the futures of vehicles that are not movable with their plans, in place.
+
+    A plan that is not valid at all instants is ignored. Plans continue at their last velocity.
+    """
     pairs = [
         (row, plans.index[name])
         for row, name in enumerate(scene.history.ids)

@@ -1,4 +1,4 @@
-"""Where a vehicle is in the lane graph, and what lies ahead of it."""
+"""Finds the lane that a vehicle is on and the lanes ahead that it would follow."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
 
 HORIZON_M = 120.0
+"""Distance ahead up to which lanes are followed."""
+_MOST_LANES = 40
 _YAW_TOLERANCE_RAD = 1.2
 
 
 @dataclass(frozen=True)
 class LaneAhead:
-    """The lane that a vehicle is on and those that follow.
+    """The lane that a vehicle is on and the lanes that follow it.
 
     Attributes:
-        s_m: place of the box centre along the first lane; negative before its beginning.
+        s_m: arc length of the box centre along the first lane; negative before its beginning.
         lanes: the lanes in driving order, internal ones included.
-        speed_mps: the limit of the lane that it is on.
+        speed_mps: speed limit of the first lane.
         stops: (distance from the box centre to a stop line, its link) of signalled links, nearest first.
-        end_m: distance to where the road ends; inf where it goes on.
-        offset_m: of the vehicle to the left of its lane.
+        end_m: distance to the end of the road; inf if it continues.
+        offset_m: lateral offset of the vehicle, positive to the left of the first lane.
     """
 
     s_m: float
@@ -39,22 +41,22 @@ class LaneAhead:
 def lanes_ahead(
     road: RoadMap, xy_m: FloatArray, yaw_rad: FloatArray, routes: Sequence[Sequence[str]]
 ) -> list[LaneAhead | None]:
-    """Return for each of N vehicles the lanes it would follow; None where it is on none, or against it.
+    """Return for each of N vehicles the lanes it would follow; None if it is on none, or heads against it.
 
     Args:
         road: the map.
         xy_m: (N, 2) centres.
         yaw_rad: (N,) headings.
-        routes: edges that each is expected to drive; () where unknown.
+        routes: edges of the route that each is expected to drive; () if unknown.
     """
     ids, s, d, error = road.locate_many(xy_m, yaw_rad)
-    out: list[LaneAhead | None] = []
-    for lane, at, beside, turned, route in zip(ids, s, d, error, routes, strict=True):
-        if lane is None or abs(turned) > _YAW_TOLERANCE_RAD:
-            out.append(None)
+    ahead: list[LaneAhead | None] = []
+    for lane, s_m, offset_m, yaw_error, route in zip(ids, s, d, error, routes, strict=True):
+        if lane is None or abs(yaw_error) > _YAW_TOLERANCE_RAD:
+            ahead.append(None)
         else:
-            out.append(lane_ahead(road.lanes, road.lanes[lane], float(at), float(beside), route))
-    return out
+            ahead.append(lane_ahead(road.lanes, road.lanes[lane], float(s_m), float(offset_m), route))
+    return ahead
 
 
 def lane_ahead(
@@ -65,27 +67,36 @@ def lane_ahead(
     route: Sequence[str] = (),
     horizon_m: float = HORIZON_M,
 ) -> LaneAhead:
-    """Return what lies ahead at *s_m* along *lane*, *offset_m* to its left, for who drives *route*, to *horizon_m*."""
-    driven, stops, reach = [lane], [], lane.length_m - s_m
+    """Return the lanes that a vehicle would follow.
+
+    Args:
+        lanes: lanes of the map by id.
+        lane: lane that the vehicle is on.
+        s_m: its arc length along *lane*.
+        offset_m: its lateral offset, positive to the left.
+        route: edges of its route; () if unknown.
+        horizon_m: distance ahead up to which lanes are followed.
+    """
+    followed, stops, distance = [lane], [], lane.length_m - s_m
     end = np.inf
-    while reach < horizon_m and len(driven) < 40:
-        link = _onward(driven[-1], route)
+    while distance < horizon_m and len(followed) < _MOST_LANES:
+        link = _next_link(followed[-1], route)
         if link is None:
-            end = reach
+            end = distance
             break
-        if link.tls_id is not None and not driven[-1].is_internal:
-            stops.append((reach, link))
+        if link.tls_id is not None and not followed[-1].is_internal:
+            stops.append((distance, link))
         for name in (*link.via, link.to_lane):
-            driven.append(lanes[name])
-            reach += lanes[name].length_m
-    return LaneAhead(s_m, tuple(driven), driven[0].speed_mps, tuple(stops), float(end), offset_m)
+            followed.append(lanes[name])
+            distance += lanes[name].length_m
+    return LaneAhead(s_m, tuple(followed), lane.speed_mps, tuple(stops), float(end), offset_m)
 
 
-def _onward(lane: Lane, route: Sequence[str]) -> Link | None:
-    """Return the link that follows the route, else the straight one, else the first."""
+def _next_link(lane: Lane, route: Sequence[str]) -> Link | None:
+    """Return the link along the route, else the straight one, else the first; U-turns only if there is no other."""
     links = [link for link in lane.successors if not link.turns_round] or list(lane.successors)
     if not links:
         return None
-    followed = [link for link in links if link.to_lane.rpartition("_")[0] in route]
+    on_route = [link for link in links if link.to_lane.rpartition("_")[0] in route]
     straight = [link for link in links if link.direction == "s"]
-    return (followed or straight or links)[0]
+    return (on_route or straight or links)[0]

@@ -1,4 +1,4 @@
-"""Planned paths that are driven at other speeds than planned."""
+"""Paths of plans, along which vehicles drive at other speeds than planned."""
 
 from __future__ import annotations
 
@@ -10,28 +10,24 @@ from advdiff_sumo.traffic.planning.futures import Futures
 
 
 class PlannedPaths:
-    """The planned paths of N road users, kept while their speeds change."""
+    """Planned paths of N road users, unchanged while their speeds change."""
 
     def __init__(self, futures: Futures) -> None:
         self.xy_m, self.yaw_rad = futures.xy_m, futures.yaw_rad
         self.s_m = futures.travelled_m()
 
-    def length_m(self, futures: Futures) -> FloatArray:
-        """Return (N,) how far *futures* get."""
-        return np.asarray(futures.travelled_m()[:, -1])
-
     def at(self, row: int, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return points (…, 2) and headings (…,) of the path of *row* at *s_m* (…,), clamped to it."""
+        """Return points (…, 2) and headings (…,) at arc lengths *s_m* (…,) of a path, clamped to its ends."""
         s = self.s_m[row]
         piece = np.clip(np.searchsorted(s, s_m, side="right") - 1, 0, len(s) - 2)
         share = np.clip((s_m - s[piece]) / np.maximum(s[piece + 1] - s[piece], 1e-9), 0.0, 1.0)
         xy, yaw = self.xy_m[row], self.yaw_rad[row]
-        turned = yaw[piece] + share * wrap_angle(yaw[piece + 1] - yaw[piece])
-        return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), turned
+        heading = yaw[piece] + share * wrap_angle(yaw[piece + 1] - yaw[piece])
+        return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), heading
 
 
 def speeds_of_strides(stride_m: FloatArray, dt_s: float) -> FloatArray:
-    """Return speeds (T,) at the instants of a plan that drives *stride_m* (T,) up to each of them."""
+    """Return speeds (T,) at the instants of a plan from the distances *stride_m* (T,) driven in its steps."""
     mean = stride_m / dt_s
     last = max(0.0, 1.5 * mean[-1] - 0.5 * mean[-2]) if len(mean) > 1 else mean[-1]
     speed = np.append(0.5 * (mean[:-1] + mean[1:]), last)

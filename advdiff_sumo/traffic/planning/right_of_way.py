@@ -1,4 +1,4 @@
-"""Who must yield to whom at the junction that they are on or come to next."""
+"""Tells which vehicles must yield to which at the junction that they are on or approach."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 
 
 def right_of_way(road: RoadMap, lanes: Sequence[LaneAhead | None]) -> BoolArray:
-    """Return (N, N) whether the first must yield to the second by the net's rows, on the lanes that each follows.
+    """Return (N, N) whether the first vehicle must yield to the second by the net's right-of-way rules.
 
     Args:
         road: the map.
-        lanes: N lanes that each would follow.
+        lanes: lanes that each of N vehicles would follow.
     """
-    out = np.zeros((len(lanes), len(lanes)), dtype=np.bool_)
+    must_yield = np.zeros((len(lanes), len(lanes)), dtype=np.bool_)
     links = {row: link for row, lane in enumerate(lanes) if (link := _link_ahead(road, lane)) is not None}
     for row, link in links.items():
-        for other, theirs in links.items():
-            out[row, other] = row != other and road.must_yield(link, theirs)
-    return out
+        for other_row, other_link in links.items():
+            must_yield[row, other_row] = row != other_row and road.must_yield(link, other_link)
+    return must_yield
 
 
 def _link_ahead(road: RoadMap, lane: LaneAhead | None) -> Link | None:
-    """Return the connection over the junction that *lane* is on or leads to."""
-    inner = next((part.id for part in lane.lanes if part.is_internal), None) if lane is not None else None
-    return None if inner is None else road.link_over.get(inner)
+    """Return the link over the junction that *lane* is on or leads to."""
+    internal = next((part.id for part in lane.lanes if part.is_internal), None) if lane is not None else None
+    return None if internal is None else road.link_over.get(internal)

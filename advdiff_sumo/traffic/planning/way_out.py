@@ -1,4 +1,4 @@
-"""Where a vehicle can go that stands askew on a junction, where no lane leads along its heading."""
+"""Finds a lane for a vehicle that stands on a junction where no lane leads along its heading."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lane_ahead
 
 _ON_LANE_M = 3.0
-_AHEAD_RAD, _TURN_M_PER_RAD = 1.4, 5.0
+_AHEAD_RAD = 1.4
+"""Largest bearing at which the beginning of a lane counts as ahead."""
+_TURN_M_PER_RAD = 5.0
+"""Distance that counts as much as a turn of one radian."""
 
 
 def way_out(road: RoadMap, xy_m: FloatArray, yaw_rad: float) -> LaneAhead | None:
-    """Return the lane off the junction that is easiest to reach, with the vehicle before its beginning.
+    """Return the exit lane of the junction that is easiest to reach; the vehicle is before its beginning.
 
     Args:
         road: the map.
@@ -23,10 +26,10 @@ def way_out(road: RoadMap, xy_m: FloatArray, yaw_rad: float) -> LaneAhead | None
         yaw_rad: its heading.
 
     Returns:
-        None where the place is on no junction, or no lane off it begins ahead.
+        None if the vehicle is on no junction, or no exit lane begins ahead of it.
     """
-    inner = [road.lanes[pose.lane_id] for pose in road.near(xy_m, _ON_LANE_M)]
-    junctions = {road.edges[lane.edge_id].from_junction for lane in inner if lane.is_internal}
+    near = [road.lanes[pose.lane_id] for pose in road.near(xy_m, _ON_LANE_M)]
+    junctions = {road.edges[lane.edge_id].from_junction for lane in near if lane.is_internal}
     if not junctions:
         return None
     exits = [
@@ -36,19 +39,19 @@ def way_out(road: RoadMap, xy_m: FloatArray, yaw_rad: float) -> LaneAhead | None
         for name in edge.lane_ids
         if road.lanes[name].is_drivable
     ]
-    effort = [(_effort_m(lane, xy_m, yaw_rad), lane.id) for lane in exits]
-    least = min(effort, default=(np.inf, ""))
-    if not np.isfinite(least[0]):
+    efforts = [(_effort_m(lane, xy_m, yaw_rad), lane.id) for lane in exits]
+    effort, lane_id = min(efforts, default=(np.inf, ""))
+    if not np.isfinite(effort):
         return None
-    lane = road.lanes[least[1]]
+    lane = road.lanes[lane_id]
     s, left = lane.line.project(xy_m, extrapolate=True)
     return lane_ahead(road.lanes, lane, min(float(s), 0.0), float(left))
 
 
 def _effort_m(lane: Lane, xy_m: FloatArray, yaw_rad: float) -> float:
-    """Return how far and how askew the beginning of *lane* is; inf where it is not ahead."""
-    begin, along = lane.line.at(0.0)
-    place = local_from_world(begin, xy_m, np.asarray(yaw_rad))
-    if abs(np.arctan2(place[1], place[0])) > _AHEAD_RAD:
+    """Return the distance to the beginning of *lane* plus a cost of the turn; inf if it is not ahead."""
+    begin, lane_yaw = lane.line.at(0.0)
+    offset = local_from_world(begin, xy_m, np.asarray(yaw_rad))
+    if abs(np.arctan2(offset[1], offset[0])) > _AHEAD_RAD:
         return float(np.inf)
-    return float(np.hypot(*place) + _TURN_M_PER_RAD * abs(wrap_angle(float(along) - yaw_rad)))
+    return float(np.hypot(*offset) + _TURN_M_PER_RAD * abs(wrap_angle(float(lane_yaw) - yaw_rad)))

@@ -14,7 +14,7 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, driven_of, nobody, outlook, plausible_plan
+from advdiff_sumo.traffic.background_plan import Rules, empty_plan, outlook, plausible_plan, steps_driven
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.drawn import Drawn
@@ -95,11 +95,11 @@ def joint_plan(
         licence: what attackers may do.
     """
     if now.natural is None:
-        return JointPlan(nobody(now.view.scene), attack=AttackState("any"))
+        return JointPlan(empty_plan(now.view.scene), attack=AttackState("any"))
     rows = torch.from_numpy(now.rows)
     rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    last = before, driven_of(before, now.view.scene)
+    last = before, steps_driven(before, now.view.scene)
     plan = plausible_plan(road, now.view, now.lanes, drawn, last, Rules(licence, len(now.rows)))
     return JointPlan(plan.tracks, attack=AttackState("any", plan.attackers), safeguarded=plan.safeguarded)
 

@@ -21,10 +21,10 @@ def cars(*states: tuple[float, float, float, float]) -> Futures:
 
 def braked(futures: Futures, stop: float = FREE, blind: tuple[int, int] | None = None) -> Braked:
     count = futures.agents
-    minds = ~np.eye(count, dtype=np.bool_)
+    may_brake_for = ~np.eye(count, dtype=np.bool_)
     if blind is not None:
-        minds[blind] = False
-    return brake(futures, np.ones(count, dtype=np.bool_), minds, np.full(count, stop))
+        may_brake_for[blind] = False
+    return brake(futures, np.ones(count, dtype=np.bool_), may_brake_for, np.full(count, stop))
 
 
 def touching(futures: Futures) -> bool:
@@ -38,14 +38,14 @@ def touching(futures: Futures) -> bool:
 def test_free_plans_stay_as_they_are() -> None:
     plans = cars((0, 0, 0, 10), (0, 4, 0, 10), (30, 0, 0, 10))
     made = braked(plans)
-    assert not made.rows.any()
+    assert not made.braked.any()
     np.testing.assert_array_equal(made.futures.xy_m, plans.xy_m)
 
 
 def test_the_one_behind_brakes_for_a_standing_car_and_keeps_its_gap() -> None:
     """From 10 m/s with 40 − 4 − 1 = 35 m to go: 1.5 m/s² stops after 33.3 m, 1 m/s² does not within 6 s."""
     made = braked(cars((0, 0, 0, 10), (40, 0, 0, 0)))
-    assert made.rows.tolist() == [True, False]
+    assert made.braked.tolist() == [True, False]
     assert not made.unsolved.any()
     x = made.futures.xy_m[0, :, 0]
     assert x[-1] == pytest.approx(10.0 * 6.0 - 0.5 * 1.5 * 36.0)  # 33 m after 6 s
@@ -58,7 +58,7 @@ def test_the_one_behind_brakes_for_a_standing_car_and_keeps_its_gap() -> None:
 
 def test_nobody_brakes_for_who_comes_from_behind() -> None:
     made = braked(cars((0, 0, 0, 10), (-25, 0, 0, 20)))
-    assert made.rows.tolist() == [False, True]
+    assert made.braked.tolist() == [False, True]
     assert not touching(made.futures)
 
 
@@ -67,7 +67,7 @@ def test_the_one_whose_front_would_hit_a_side_brakes() -> None:
     plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.tolist() == [False, True]
+    assert made.braked.tolist() == [False, True]
     assert not touching(made.futures)
 
 
@@ -77,19 +77,19 @@ def test_who_would_clip_the_corner_of_a_bus_that_stands_brakes() -> None:
     plans.size_m[0] = 12.0, 2.5
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.tolist() == [False, True]
+    assert made.braked.tolist() == [False, True]
     assert not touching(made.futures)
 
 
 def test_for_one_that_is_not_ours_everybody_brakes_that_has_it_ahead() -> None:
     """As above, but the one from the south is SUMO's and will not brake; who has such a one behind still does not."""
     plans = cars((0, 0, 0, 10), (30, -32, np.pi / 2, 10))
-    minds, ours = ~np.eye(2, dtype=np.bool_), np.array([True, False])
-    made = brake(plans, ours, minds, np.full(2, FREE))
-    assert made.rows.tolist() == [True, False]
+    may_brake_for, ours = ~np.eye(2, dtype=np.bool_), np.array([True, False])
+    made = brake(plans, ours, may_brake_for, np.full(2, FREE))
+    assert made.braked.tolist() == [True, False]
     assert not touching(made.futures)
-    behind = brake(cars((0, 0, 0, 10), (-25, 0, 0, 20)), ours, minds, np.full(2, FREE))
-    assert not behind.rows.any()
+    behind = brake(cars((0, 0, 0, 10), (-25, 0, 0, 20)), ours, may_brake_for, np.full(2, FREE))
+    assert not behind.braked.any()
 
 
 def test_who_is_near_already_comes_no_nearer_than_a_share_of_the_room() -> None:
@@ -100,7 +100,7 @@ def test_who_is_near_already_comes_no_nearer_than_a_share_of_the_room() -> None:
     )  # 2 cm in half a second, touching in the end
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.any()
+    assert made.braked.any()
     assert not touching(made.futures)
     apart = np.abs(made.futures.xy_m[0, :, 1] - made.futures.xy_m[1, :, 1]) - 2.0
     beside = np.abs(made.futures.xy_m[0, :, 0] - made.futures.xy_m[1, :, 0]) < 4.0
@@ -109,7 +109,7 @@ def test_who_is_near_already_comes_no_nearer_than_a_share_of_the_room() -> None:
 
 def test_both_brake_head_on() -> None:
     made = braked(cars((0, 0, 0, 8), (60, 0, np.pi, 8)))
-    assert made.rows.tolist() == [True, True]
+    assert made.braked.tolist() == [True, True]
     assert not touching(made.futures)
 
 
@@ -122,7 +122,7 @@ def test_of_two_that_would_stand_for_each_other_for_ever_one_goes() -> None:
         plans.speed_mps[row] = time
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.sum() == 1
+    assert made.braked.sum() == 1
     assert not touching(made.futures)
 
 
@@ -142,7 +142,7 @@ def test_who_creeps_goes_on_before_one_that_stands() -> None:
     setting_off(plans, 1, 0.0)
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.tolist() == [False, True]
+    assert made.braked.tolist() == [False, True]
     assert made.futures.travelled_m()[1, -1] == 0.0
     assert not touching(made.futures)
 
@@ -155,7 +155,7 @@ def test_of_two_the_one_goes_whose_way_is_free(creeps: float) -> None:
     setting_off(plans, 1, 0.0)
     assert touching(plans)
     made = braked(plans)
-    assert made.rows.tolist() == [True, False]
+    assert made.braked.tolist() == [True, False]
     assert not touching(made.futures)
 
 
@@ -170,16 +170,16 @@ def test_who_has_the_right_of_way_goes_first() -> None:
         made = brake(
             plans, np.ones(2, dtype=np.bool_), ~np.eye(2, dtype=np.bool_), np.full(2, FREE), None, yields
         )
-        assert made.rows.tolist() == [first == 1, first == 0]
+        assert made.braked.tolist() == [first == 1, first == 0]
         assert not touching(made.futures)
-    assert braked(plans).rows.all()
+    assert braked(plans).braked.all()
 
 
 def test_who_creeps_past_one_that_is_slow_needs_less_room() -> None:
     """0.1 m between their sides, where 0.15 m are kept otherwise; the other stands."""
     for speed, brakes in ((1.0, False), (6.0, True)):
         plans = cars((0, 0, 0, speed), (12, 2.1, np.pi, 0))
-        assert braked(plans).rows.tolist() == [brakes, False]
+        assert braked(plans).braked.tolist() == [brakes, False]
 
 
 def test_nobody_sets_off_before_one_that_is_fast() -> None:
@@ -188,32 +188,32 @@ def test_nobody_sets_off_before_one_that_is_fast() -> None:
     setting_off(plans, 0, 6.0, 0.0)
     setting_off(plans, 1, 0.0)
     made = braked(plans)
-    assert made.rows.tolist() == [True, True]
+    assert made.braked.tolist() == [True, True]
     assert made.futures.travelled_m()[1, -1] == 0.0
     assert not touching(made.futures)
 
 
 def test_an_attacker_does_not_brake_for_its_target() -> None:
     plans = cars((40, 0, 0, 0), (0, 0, 0, 10))
-    assert braked(plans).rows.tolist() == [False, True]
+    assert braked(plans).braked.tolist() == [False, True]
     made = braked(plans, blind=(1, 0))
-    assert not made.rows.any()
+    assert not made.braked.any()
 
 
 def test_a_chain_brakes_one_after_the_other() -> None:
     made = braked(cars((0, 0, 0, 10), (-10, 0, 0, 10), (-20, 0, 0, 10), (30, 0, 0, 0)))
-    assert made.rows[:3].all()
+    assert made.braked[:3].all()
     assert not touching(made.futures)
 
 
 def test_boxes_that_overlap_already_are_left_to_part() -> None:
     plans = cars((0, 0, 0, 5), (3, 0, 0, 8))
-    assert not braked(plans).rows.any()
+    assert not braked(plans).braked.any()
 
 
 def test_a_gap_that_is_small_already_is_no_reason_to_brake() -> None:
     """Half a metre between standing boxes that start at the same pace."""
-    assert not braked(cars((0, 0, 0, 5), (4.5, 0, 0, 5))).rows.any()
+    assert not braked(cars((0, 0, 0, 5), (4.5, 0, 0, 5))).braked.any()
 
 
 def test_a_stop_line() -> None:
@@ -239,13 +239,13 @@ def test_only_what_is_near_in_time_is_braked_for() -> None:
     xy[0, :, 0], xy[1, :, 0] = 10.0 * time, 45.0
     speed = np.array([[10.0] * 13, [0.0] * 13])
     plans = Futures(xy, np.zeros((2, 13)), speed, np.array([[4.0, 2.0]] * 2), 0.5)
-    minds = ~np.eye(2, dtype=np.bool_)
+    may_brake_for = ~np.eye(2, dtype=np.bool_)
     free = np.full(2, np.inf)
-    may = np.array([True, False])
-    assert brake_ahead(plans, may, minds, free, 12).rows.tolist() == [True, False]
-    assert brake_ahead(plans, may, minds, free, 6).rows.tolist() == [False, False]
-    near = brake_ahead(plans, may, minds, free, 9)
-    assert near.rows.tolist() == [True, False]
+    adjustable = np.array([True, False])
+    assert brake_ahead(plans, adjustable, may_brake_for, free, 12).braked.tolist() == [True, False]
+    assert brake_ahead(plans, adjustable, may_brake_for, free, 6).braked.tolist() == [False, False]
+    near = brake_ahead(plans, adjustable, may_brake_for, free, 9)
+    assert near.braked.tolist() == [True, False]
     gone = near.futures.travelled_m()[0]
     assert near.futures.steps == 12
     assert gone[9] <= 45.0 - 4.0

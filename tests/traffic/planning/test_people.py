@@ -59,12 +59,12 @@ def street(beside_m: float, walks_mps: float, faces: float = 0.0) -> Futures:
 
 def braked(futures: Futures, side_m: float = PEOPLE_SIDE_M) -> bool:
     """Return whether the car gives way, and check that it is clear of who is on foot then."""
-    may, minds = np.array([True, False]), ~np.eye(2, dtype=np.bool_)
-    made = brake(futures, may, minds, np.full(2, np.inf), np.array([SIDE_M, side_m]))
+    adjustable, may_brake_for = np.array([True, False]), ~np.eye(2, dtype=np.bool_)
+    made = brake(futures, adjustable, may_brake_for, np.full(2, np.inf), np.array([SIDE_M, side_m]))
     assert not made.unsolved.any()
     gap = np.abs(made.futures.xy_m[0] - made.futures.xy_m[1]) - 0.5 * (made.futures.size_m[0] + 0.6)
     assert (gap.max(axis=1) > 0.0).all()
-    return bool(made.rows[0])
+    return bool(made.braked[0])
 
 
 @pytest.mark.parametrize(

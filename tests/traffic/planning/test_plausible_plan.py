@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, rest_of
+from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, remaining_plan
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.drawn import Drawn
 from tests.traffic.manoeuvres.scenes import scene_on
@@ -66,7 +66,7 @@ def test_what_is_left_of_a_plan(downtown: RoadMap, street: Callable[..., Scene])
 
     def left(after_s: float, before: int, replan: int) -> int | None:
         now = replace(scene, history=scene.history.shifted(after_s))
-        rest = rest_of(downtown, plan, before, now, replan)
+        rest = remaining_plan(downtown, plan, before, now, replan)
         assert rest is None or rest.t0_s == pytest.approx(now.time_s + 0.5)
         return None if rest is None else rest.steps
 
@@ -84,11 +84,11 @@ def test_a_plan_is_driven_on_while_somebody_leaves_the_net(road: RoadMap) -> Non
     scene = scene_on({name: (lane, lane.length_m - back, 8.0) for name, back in places.items()})
     plan = replace(coasted(scene.history.rows([1]), 12), t0_s=scene.time_s + 0.5)
     later = replace(scene, history=scene.history.shifted(0.5))
-    rest = rest_of(road, plan, 0, later, 4)
+    rest = remaining_plan(road, plan, 0, later, 4)
     assert rest is not None
     assert (rest.ids, rest.steps) == (("stays",), 11)
     both = replace(coasted(scene.history.rows([1, 2]), 12), t0_s=scene.time_s + 0.5)
-    assert rest_of(road, both, 0, later, 4) is None
+    assert remaining_plan(road, both, 0, later, 4) is None
 
 
 def coasted(now: Tracks, steps: int) -> Tracks:

@@ -52,24 +52,24 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
 
 
 def watched(
-    road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", lanes_afar: bool = False
+    road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", far_follow_lanes: bool = False
 ) -> SafeguardInput:
     planned = np.arange(futures.agents) > 0
     lights = {x.tls_id: 60 * light for y in road.lanes.values() for x in y.successors if x.tls_id}
     stood = planned & (futures.speed_mps[:, 0] == 0.0)
     return SafeguardInput(
-        planned=planned,
-        attacker=planned & attacks,
+        is_planned=planned,
+        is_attacker=planned & attacks,
         target=0,
-        motor=np.ones_like(planned),
-        people=np.zeros_like(planned),
-        stood=stood,
-        dawdled=planned & (futures.speed_mps[:, 0] < 2.0),
-        over_limit=np.where(planned & attacks, 1.5, 1.15),
-        lanes_afar=lanes_afar,
+        is_motor=np.ones_like(planned),
+        is_unprotected=np.zeros_like(planned),
+        has_stood=stood,
+        has_crept=planned & (futures.speed_mps[:, 0] < 2.0),
+        limit_share=np.where(planned & attacks, 1.5, 1.15),
+        far_follow_lanes=far_follow_lanes,
         lanes=ahead(road, futures),
         signals=lights,
-        waits_m=np.full(futures.agents, np.inf),
+        yield_stop_m=np.full(futures.agents, np.inf),
     )
 
 
@@ -80,7 +80,7 @@ def guarded(road: RoadMap, futures: Futures, **how: object) -> SafeguardedPlans:
 def test_a_plan_along_the_lane_stays_as_it_is(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, 10.0, 6.0)
     made = guarded(downtown, plans)
-    assert not np.any((made.lane, made.held, made.braked, made.unsolved))
+    assert not np.any((made.follows_lane, made.held, made.braked, made.unsolved))
     np.testing.assert_array_equal(made.futures.xy_m, plans.xy_m)
 
 
@@ -88,7 +88,7 @@ def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane:
     plans = on(lane, 10.0, 8.0, turn=0.5)
     assert leaves_road(downtown, plans, SECOND, BOTH).tolist() == [False, True]
     made = guarded(downtown, plans)
-    assert made.lane.tolist() == [False, True]
+    assert made.follows_lane.tolist() == [False, True]
     assert not leaves_road(downtown, made.futures, BOTH, BOTH)[1]
     s, d = lane.line.project(made.futures.xy_m[1])
     assert abs(d[-1]) < 0.3 or s[-1] >= lane.length_m - 5.0
@@ -108,11 +108,11 @@ def test_among_reckless_ones_who_is_far_from_the_target_follows_its_lane(
 ) -> None:
     """Half a metre beside the middle of its lane; 40 m from the target it stays there, 80 m from it it returns."""
     plans = on(lane, 10.0, 4.0, left=0.5)
-    made = guarded(downtown, plans, lanes_afar=True)
+    made = guarded(downtown, plans, far_follow_lanes=True)
     np.testing.assert_array_equal(made.futures.xy_m[1], plans.xy_m[1])
     plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
-    made = guarded(downtown, plans, lanes_afar=True)
-    assert not made.lane.any()  # which counts plans that would have left the road
+    made = guarded(downtown, plans, far_follow_lanes=True)
+    assert not made.follows_lane.any()  # which counts plans that would have left the road
     assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
 
 
@@ -148,22 +148,22 @@ def test_nobody_drives_faster_than_its_share_of_the_limit(
     driven = np.append(0.0, np.cumsum(0.5 * DT * (pace[1:] + pace[:-1])))
     plans.xy_m[1], plans.yaw_rad[1] = lane.line.at(5.0 + driven, extrapolate=True)
     plans.speed_mps[1] = pace
-    who = replace(watched(downtown, plans, attacks), planned=SECOND)
+    who = replace(watched(downtown, plans, attacks), is_planned=SECOND)
     made = safeguard(downtown, plans, who).futures
     on_lane = lane.line.project(made.xy_m[1])[0] < lane.length_m
     assert made.speed_mps[1, on_lane].max() == pytest.approx(share * lane.speed_mps, abs=0.1)
 
 
 @pytest.mark.parametrize(
-    ("attacks", "dawdled", "goes"), [(True, True, True), (True, False, False), (False, False, True)]
+    ("attacks", "has_crept", "goes"), [(True, True, True), (True, False, False), (False, False, True)]
 )
 def test_who_stands_on_a_junction_drives_off_it(
-    downtown: RoadMap, attacks: bool, dawdled: bool, goes: bool
+    downtown: RoadMap, attacks: bool, has_crept: bool, goes: bool
 ) -> None:
     """Its plan is to stand in the middle of a bend for good; attackers may for two seconds."""
     inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
     plans = on(inner, 0.5 * inner.length_m, 0.0)
-    who = replace(watched(downtown, plans, attacks), dawdled=SECOND & dawdled)
+    who = replace(watched(downtown, plans, attacks), has_crept=SECOND & has_crept)
     made = safeguard(downtown, plans, who)
     assert made.held.tolist() == [False, not goes]
     assert (made.futures.travelled_m()[1, -1] > 5.0) == goes
@@ -205,7 +205,7 @@ def test_a_target_that_has_stood_is_taken_to_stand(
     aside /= np.linalg.norm(aside)
     plans.xy_m[0] = plans.xy_m[1, 3] + np.linspace(4.0, 0.0, T + 1)[:, None] * aside
     plans.yaw_rad[0] = np.arctan2(-aside[1], -aside[0])
-    who = replace(watched(downtown, plans), stood=~SECOND & stood)
+    who = replace(watched(downtown, plans), has_stood=~SECOND & stood)
     made = safeguard(downtown, plans, who)
     assert made.braked.tolist() == [False, brakes]
 
@@ -245,7 +245,7 @@ def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, la
     made = safeguard(downtown, plans, who)
     assert not made.held.any()
     assert made.futures.travelled_m()[1, :4].tolist() == pytest.approx([0.0, 0.125, 0.5, 1.125])
-    still = safeguard(downtown, plans, replace(who, stood=np.zeros(2, dtype=np.bool_)))
+    still = safeguard(downtown, plans, replace(who, has_stood=np.zeros(2, dtype=np.bool_)))
     assert still.held[1]
 
 
@@ -268,7 +268,7 @@ def test_red_lights(
     """25.3 m before the stop line: less half a length of 2.3 m and a metre to spare, 22 m to go."""
     plans = on(lane, lane.length_m - 25.3, speed)
     who = watched(downtown, plans, attacks, light)
-    room = stop_distances(plans, who, who.planned)[1]
+    room = stop_distances(plans, who, who.is_planned)[1]
     assert (room == pytest.approx(22.0, abs=0.05)) if stops else np.isinf(room)
     made = safeguard(downtown, plans, who)
     if stops:
@@ -280,7 +280,7 @@ def test_red_lights(
 def test_who_is_over_the_line_goes_on(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, lane.length_m - 1.0, 3.0)
     who = watched(downtown, plans, light="r")
-    assert np.isinf(stop_distances(plans, who, who.planned)).all()
+    assert np.isinf(stop_distances(plans, who, who.is_planned)).all()
 
 
 def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) -> None:
@@ -316,8 +316,10 @@ def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lan
     s = 10.0 + 5.0 * np.arange(1, T + 1)
     before = *lane.line.at(s), np.full(T, 10.0)
     plans.xy_m[1, 1:], plans.yaw_rad[1, 1:] = lane.line.at(s, 0.6)
-    who = replace(watched(downtown, plans), planned=np.array([False, True, False]), lanes=[None, None, None])
+    who = replace(
+        watched(downtown, plans), is_planned=np.array([False, True, False]), lanes=[None, None, None]
+    )
     assert safeguard(downtown, plans, who).unsolved.tolist() == [False, True, False]
-    made = safeguard(downtown, plans, replace(who, before={1: before}))
+    made = safeguard(downtown, plans, replace(who, previous={1: before}))
     assert not made.unsolved.any()
     np.testing.assert_allclose(made.futures.xy_m[1, 1:7], before[0][:6], atol=1e-9)

@@ -1,1 +1,1 @@
-"""Background moved by latent diffusion, natural or guided against the target (the paper's method)."""
+"""The background ``diffusion``: latent diffusion, natural or guided against the target (the paper's method)."""

@@ -1,4 +1,4 @@
-"""The trained networks, ready to plan."""
+"""Loads the trained networks and prepares them for planning."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Networks:
     """Networks of one bundle on one device.
 
     Attributes:
-        bundle: all of them, frozen.
-        codec: between latents and what is diffused.
-        denoiser: for run time.
-        decoder: of whole scenes and of some of their rows.
-        reward: Q for run time.
-        schedule: what the denoiser was trained with.
-        sampling: how plans are drawn.
-        faster: (C, L) direction of scaled latents in which vehicles drive faster, see ``planning.pace``.
-        device: where they are.
+        bundle: all networks, frozen.
+        codec: converts between latents and what is diffused.
+        denoiser: the denoiser, optimised for planning.
+        decoder: the decoder, for whole scenes and for some of their rows.
+        reward: the reward model Q, optimised for planning.
+        schedule: noise schedule with which the denoiser was trained.
+        sampling: how plans are sampled.
+        faster: (C, L) direction of scaled latents in which vehicles drive faster; see ``planning.pace``.
+        device: device of the networks.
     """
 
     bundle: Bundle
@@ -54,13 +54,13 @@ class Networks:
     device: torch.device
 
     def guided_by(self, reward: RewardModel) -> Networks:
-        """Return the same networks with *reward* as it is now; what is trained further has to be given again."""
+        """Return the same networks with *reward* in its present state; call again after training it further."""
         return replace(self, bundle=replace(self.bundle, reward=reward), reward=fast_reward(reward))
 
 
 @one_thread()
 def networks_of(options: DiffusionOptions) -> Networks:
-    """Return the networks that *options* name; read once a process, and again when a file changes.
+    """Return the networks that *options* name; files are read once a process, and again if they change.
 
     Raises:
         WeightsError: a file is missing, damaged, or holds networks that this policy cannot use.
@@ -90,7 +90,7 @@ def networks_of(options: DiffusionOptions) -> Networks:
 def _networks(
     _states: tuple[tuple[int, int], ...], path: str, reward: str, device: torch.device, sampling: Sampling
 ) -> Networks:
-    _keep_memory()
+    _raise_allocation_threshold()
     bundle = load_bundle(Path(path))
     if reward:
         bundle = replace(bundle, reward=load_reward(Path(reward), bundle.options.model))
@@ -116,9 +116,9 @@ def _networks(
     )
 
 
-def _keep_memory() -> None:
-    """Free a block of 30 MB once: from then on glibc keeps blocks up to that size instead of asking for them anew.
+def _raise_allocation_threshold() -> None:
+    """Free a block of 30 MB once, after which glibc keeps blocks up to that size instead of returning them.
 
-    A plan of 24 vehicles takes 1 to 2 ms less without the pages that the system would clear for it.
+    A plan of 24 vehicles takes 1 to 2 ms less, as the system need not clear new pages.
     """
     torch.empty(30_000_000, dtype=torch.uint8)

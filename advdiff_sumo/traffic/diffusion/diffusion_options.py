@@ -1,4 +1,4 @@
-"""Options of ``diffusion``, in the words of a user."""
+"""Options of ``diffusion`` and ``traj2traj``."""
 
 from __future__ import annotations
 
@@ -37,38 +37,39 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "slow-merge": ("slow-merge", "any"),
     "pull-out": ("pull-out", "any"),
 }
-"""Attack → the manoeuvre that it stands for under a licence, and the guide's term that goes with it."""
+"""Attack → its manoeuvre under a licence, and the cost term of the guide."""
 
 
 class DiffusionOptions(Options):
     """Options of ``diffusion``.
 
     Attributes:
-        licence: what attackers may do: "lawful": no traffic rule is broken, and lawful manoeuvres are driven beside
-            the guided plans; "careless": smaller gaps; "reckless": anything that moves like a vehicle, as in the paper.
-        strength: how hard attackers are guided against the target; 0 is natural traffic exactly.
-        attackers: most vehicles that are guided at a time, and most lawful manoeuvres beside them.
-        attack: what they shall do; "any": whatever gets them close.
-        staged: most vehicles that come in during an episode where a lawful manoeuvre lacks them; 0: nobody.
-        guide: "reward": by the reward model and the attack's own terms; "reward-only": by the reward model alone,
-            as in the paper; "none": natural traffic.
+        licence: what attackers may do: "lawful": break no traffic rule; lawful manoeuvres are driven beside the guided
+            plans; "careless": the same with smaller gaps; "reckless": anything that moves like a vehicle, as in the
+            paper.
+        strength: how hard attackers are guided against the target; 0: exactly natural traffic.
+        attackers: largest number of simultaneously guided vehicles, and of lawful manoeuvres beside them.
+        attack: kind of attack; "any": whatever brings attackers near the target.
+        staged: largest number of vehicles inserted during an episode where a lawful manoeuvre needs them; 0: none.
+        guide: "reward": the reward model and the cost terms of the attack; "reward-only": the reward model alone, as
+            in the paper; "none": natural traffic.
         steps: denoising steps of a plan.
-        begin: share of the noise schedule at which the denoising begins, see ``diffusion.sampler.Sampling``.
-        family: transition of the denoising, see ``diffusion.sampler``.
+        begin: share of the noise schedule at which denoising begins; see ``diffusion.sampler.Sampling``.
+        family: transition of a denoising step; see ``diffusion.sampler``.
         eta: share of fresh noise in each denoising step; the family "printed" has 1.
-        persistence: how much of a vehicle's starting noise, and so of its intention, is kept from plan to plan.
-        temperature: of that noise: 1 draws as the networks were trained, 0 what they hold for likeliest; None: 1 under
-            "reckless", as in the paper, else 0.4, with which traffic keeps going and drives more smoothly.
-        pace: how much more briskly natural plans are driven than the networks alone would, see ``planning.pace``; 1 is
-            about as fast as SUMO's drivers, 0 nothing; None: 0 under "reckless", as in the paper, else 1.
-        replan: model steps of 0.5 s of a plan that are driven before the next one (the paper's l).
-        samples: joint futures drawn at once, of which the most plausible is driven, in which attackers may run into the
-            target.
-        weights: a file of weights, or the name of shipped ones; empty: "closed-loop", which drives most like
-            people, or, of a reckless one, "traffic", whose decoder is the paper's.
-        reward: what ``advdiff-sumo warmup`` has learned of the target: which encounters to go for, or, of a reckless
-            one, a reward model in place of the weights'; empty: nothing.
-        device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
+        persistence: share of a vehicle's starting noise, and so of its intention, that is kept from plan to plan.
+        temperature: factor on that noise: 1: as in training; 0: the most likely plan; None: 1 under "reckless", as in
+            the paper, else 0.4, with which traffic keeps moving and drives more smoothly.
+        pace: how much faster natural plans are than those of the networks alone; see ``planning.pace``. 1: about as
+            fast as SUMO's drivers; 0: no faster; None: 0 under "reckless", as in the paper, else 1.
+        replan: number of model steps of 0.5 s of a plan that are driven before the next plan (the paper's l).
+        samples: number of joint futures drawn at once. The most plausible one is driven; collisions of attackers with
+            the target do not count against it.
+        weights: a file of weights, or the name of shipped ones; empty: "closed-loop", which drives most like people,
+            or under "reckless" "traffic", whose decoder is the paper's.
+        reward: result of ``advdiff-sumo warmup``: preferred encounters, or under "reckless" a reward model that
+            replaces that of the weights; empty: none.
+        device: "auto": a GPU if there is one, else the CPU; or a device name of PyTorch.
     """
 
     licence: LicenceName = "lawful"
@@ -104,41 +105,41 @@ class DiffusionOptions(Options):
 
     @property
     def manoeuvre(self) -> str:
-        """The manoeuvre that ``attack`` stands for under a licence."""
+        """The manoeuvre of ``attack`` under a licence."""
         return LAWFUL_ATTACKS[self.attack][0]
 
     @property
     def attack_term(self) -> str:
-        """The guide's term that goes with ``attack``."""
+        """The cost term of the guide for ``attack``."""
         return self.attack if self.licence == "reckless" else LAWFUL_ATTACKS[self.attack][1]
 
     @property
     def guided(self) -> bool:
-        """Whether anybody is attacked at all."""
+        """Whether the policy attacks the target at all."""
         return self.guide != "none" and self.strength > 0.0
 
     @property
     def noise(self) -> float:
-        """Temperature of the noise that a plan begins with."""
+        """Factor on the starting noise of a plan."""
         if self.temperature is not None:
             return self.temperature
         return 1.0 if self.licence == "reckless" else 0.4
 
     @property
     def briskness(self) -> float:
-        """Share of the shift of latents with which natural plans are driven."""
+        """Share of the shift of latents that makes natural plans faster."""
         if self.pace is not None:
             return self.pace
         return 0.0 if self.licence == "reckless" else 1.0
 
     @property
     def q_file(self) -> str:
-        """The reward model that replaces the bundle's; "" for none."""
+        """The file of a reward model that replaces the bundle's; "": none."""
         return "" if self._is_lawful_reward else self.reward
 
     @property
     def preference(self) -> EncounterPreference | None:
-        """Which encounters to go for; None where nothing is known.
+        """The preferred encounters; None without a preference.
 
         Raises:
             WeightsError: the file cannot be used, or there are no lawful encounters.
@@ -160,7 +161,7 @@ class DiffusionOptions(Options):
 
     @property
     def path(self) -> Path:
-        """The networks' file."""
+        """The file of the networks."""
         return find_weights(self.weights, self._shipped)
 
     @property
@@ -169,7 +170,7 @@ class DiffusionOptions(Options):
 
 
 class Traj2TrajOptions(DiffusionOptions):
-    """Options of ``traj2traj``: those of ``diffusion``, less the guide, for networks that diffuse trajectories."""
+    """Options of ``traj2traj``: those of ``diffusion`` without the guide, for networks that diffuse trajectories."""
 
     guide: Literal["none"] = "none"
     steps: int = Field(10, ge=1, le=1000)

@@ -1,4 +1,4 @@
-"""The background policy ``diffusion``: encode, sample with guidance, decode, keep it plausible (Alg. 1)."""
+"""The background policy ``diffusion``: encode, sample with guidance, decode, make plausible (Alg. 1)."""
 
 from __future__ import annotations
 
@@ -36,18 +36,19 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 Listener: TypeAlias = Callable[[View, Drawn], None]
+"""Function that is called with every view and the proposal drawn for it."""
 
 
 @dataclass(frozen=True)
 class DiffusionMemory:
-    """What a policy remembers from plan to plan.
+    """Memory of the policy from plan to plan.
 
     Attributes:
-        noise: id → starting noise of the vehicle, (Z,).
-        shifts: id of who was guided last → what its latent was shifted by, (Z,).
-        plan: the last plan, at its own clock.
-        driven: model steps of it that had been driven when it was handed out last.
-        commitments: manoeuvres under way; None where the licence asks for none.
+        noise: id → starting noise (Z,) of the vehicle.
+        shifts: id of a vehicle guided in the previous plan → shift (Z,) of its latent.
+        plan: the previous plan, at its own clock.
+        driven: number of its model steps that had been driven at the previous call.
+        commitments: manoeuvres under way; None under a licence without manoeuvres.
     """
 
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -60,17 +61,17 @@ class DiffusionMemory:
 class DiffusionTraffic:
     """Moves the background by guided latent diffusion; options are those of :class:`DiffusionOptions`.
 
-    Vehicles that come to where the road ends are left to SUMO, which takes them off the net.
+    Vehicles that reach the end of the road are left to SUMO, which removes them from the net.
 
     Attributes:
-        options: checked.
+        options: the checked options.
         networks: the trained networks.
-        listener: told of every plan that is drawn; for warm-up and for measurements.
+        listener: called with every proposal; for warm-up and for measurements.
     """
 
     Options: ClassVar[type[DiffusionOptions]] = DiffusionOptions
     name: ClassVar[str] = "diffusion"
-    _rehearsed: ClassVar[bool] = False
+    _has_planned: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
         """Check the options and read the networks.
@@ -91,7 +92,7 @@ class DiffusionTraffic:
         log: Tracks | None,  # noqa: ARG002 - the contract
         rng: np.random.Generator,
     ) -> DiffusionMemory:
-        """Return an empty memory, and let the map make its table of pieces."""
+        """Return an empty memory, after what is set up once: the map pieces, and the networks' first plan."""
         _ = road.pieces(self.networks.bundle.options.model.map_view)
         memory = DiffusionMemory()
         if self.options.licence != "reckless" and self.options.guided:
@@ -99,13 +100,13 @@ class DiffusionTraffic:
             memory = DiffusionMemory(
                 commitments=Commitments.start(options.manoeuvre, rng, options.staged, preference=preference)
             )
-        if not self._rehearsed:
-            self._rehearse(road, scene, memory)
+        if not self._has_planned:
+            self._discard_first_plan(road, scene, memory)
         return memory
 
-    def _rehearse(self, road: RoadMap, scene: Scene, memory: DiffusionMemory) -> None:
-        """Make a plan for nothing, once a process: what is set up with the first one is in no plan's time then."""
-        DiffusionTraffic._rehearsed = True
+    def _discard_first_plan(self, road: RoadMap, scene: Scene, memory: DiffusionMemory) -> None:
+        """Make one plan per process and discard it, so that set-up time counts in no plan."""
+        DiffusionTraffic._has_planned = True
         listener, self.listener = self.listener, None
         self.plan(road, scene, memory, np.random.default_rng(0))
         self.listener = listener
@@ -115,19 +116,19 @@ class DiffusionTraffic:
         self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, DiffusionMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
-        if kept is not None:
-            plan = _with_standing(JointPlan(kept), memory.commitments, scene)
+        remaining = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
+        if remaining is not None:
+            plan = _with_standing(JointPlan(remaining), memory.commitments, scene)
             return plan, replace(memory, driven=steps_driven(memory.plan, scene))
-        return self._afresh(road, scene, memory, rng)
+        return self._new_plan(road, scene, memory, rng)
 
-    def _afresh(
+    def _new_plan(
         self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, DiffusionMemory]:
         view, lanes = outlook(road, scene, self.networks.bundle.options.model.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
-            return self._alone(road, view, memory)
+            return self._plan_newcomers(road, view, memory)
         drawn = draw_plan(self.networks, self.options, view, memory.noise, memory.shifts, seed)
         if self.listener is not None:
             self.listener(view, drawn)
@@ -142,30 +143,35 @@ class DiffusionTraffic:
         return replace(joint, safeguarded=plan.safeguarded), memory
 
     def _state(self, guided: Sequence[str], commitments: Commitments | None) -> AttackState | None:
-        """Return who is in a position for the attack: who is guided to it, or drives a manoeuvre of its kind."""
+        """Return which vehicles are in a position for the attack: guided ones, and those in a manoeuvre of its kind."""
         if not self.options.guided:
             return None
-        asked, term = self.options.attack, self.options.attack_term
-        aimed = guided if asked == "any" or term != "any" else ()  # the guide has no term of this kind
-        driving = () if commitments is None else commitments.attacking
+        attack, term = self.options.attack, self.options.attack_term
+        guided_to_attack = (
+            guided if attack == "any" or term != "any" else ()
+        )  # else the guide has no such term
+        in_manoeuvre = () if commitments is None else commitments.attacking
         manoeuvres = {} if commitments is None else commitments.manoeuvres
-        does = {**dict.fromkeys(guided, "guided"), **manoeuvres}
-        return AttackState(asked, tuple(dict.fromkeys((*aimed, *driving))), does)
+        manoeuvre_of = {**dict.fromkeys(guided, "guided"), **manoeuvres}
+        return AttackState(attack, tuple(dict.fromkeys((*guided_to_attack, *in_manoeuvre))), manoeuvre_of)
 
-    def _alone(self, road: RoadMap, view: View, memory: DiffusionMemory) -> tuple[JointPlan, DiffusionMemory]:
-        """Return the plan where nobody may be moved: of who comes in, if anybody, for the kind whose turn it is."""
-        kept, newcomers = memory.commitments, tuple[Newcomer, ...]()
-        if kept is not None:
+    def _plan_newcomers(
+        self, road: RoadMap, view: View, memory: DiffusionMemory
+    ) -> tuple[JointPlan, DiffusionMemory]:
+        """Return a plan for a scene without moved vehicles, of newly inserted vehicles alone, if there are any."""
+        commitments, newcomers = memory.commitments, tuple[Newcomer, ...]()
+        if commitments is not None:
             situation, licence = situation_of(road, view), licence_of(self.options.licence)
-            _, kept = advance(situation, kept, self.options.attackers, PAUSE_S, licence)
-            newcomers, kept = let_in(situation, kept)
+            _, commitments = advance(situation, commitments, self.options.attackers, PAUSE_S, licence)
+            newcomers, commitments = let_in(situation, commitments)
         plan = plan_with(empty_plan(view.scene), newcomers, self._state((), None))
-        return _with_standing(plan, kept, view.scene), replace(memory, plan=None, commitments=kept)
+        plan = _with_standing(plan, commitments, view.scene)
+        return plan, replace(memory, plan=None, commitments=commitments)
 
 
-def _with_standing(plan: JointPlan, kept: Commitments | None, scene: Scene) -> JointPlan:
-    """Return *plan* with who stands for an encounter."""
-    return plan if kept is None else with_standing(plan, kept.standing, scene.time_s)
+def _with_standing(plan: JointPlan, commitments: Commitments | None, scene: Scene) -> JointPlan:
+    """Return *plan* with the vehicles that stand still for an encounter."""
+    return plan if commitments is None else with_standing(plan, commitments.standing, scene.time_s)
 
 
 class Traj2Traj(DiffusionTraffic):

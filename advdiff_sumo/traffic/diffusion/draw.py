@@ -1,4 +1,4 @@
-"""Draws the joint future of a view: DDIM over latents, guided or not, then the decoder."""
+"""Draws the joint future of a view: DDIM over latents, with or without a guide, then the decoder."""
 
 from __future__ import annotations
 
@@ -34,57 +34,59 @@ def draw_plan(
     options: DiffusionOptions,
     view: View,
     noise: Mapping[str, FloatArray],
-    before: Mapping[str, FloatArray],
+    previous_shifts: Mapping[str, FloatArray],
     seed: int,
 ) -> Drawn:
     """Return a joint future of *view*.
 
     Args:
         networks: the trained networks.
-        options: of the policy.
-        view: what they see.
-        noise: id → starting noise of the last plan.
-        before: id → shift of who was guided last; they stay where they still can do something, and go on from there.
-        seed: of the random numbers, which are drawn on the CPU.
+        options: options of the policy.
+        view: the scene as the networks see it.
+        noise: id → starting noise of the previous plan.
+        previous_shifts: id → shift of a vehicle guided in the previous plan. It is preferred as an attacker if it
+            still can attack, and its shift continues from there.
+        seed: seed of the random numbers, which are drawn on the CPU.
     """
     generator = torch.Generator().manual_seed(seed)
     batch = view.batch.to(networks.device)
     with torch.no_grad():
         context = encode(networks, batch)
-    start = _start(options, view, noise, networks.codec.shape, generator)
-    many, several = batch, context
+    start = _start_noise(options, view, noise, networks.codec.shape, generator)
+    repeated, repeated_context = batch, context
     if options.samples > 1:
-        many, several = batch.repeat(options.samples), context.repeat(options.samples)
+        repeated, repeated_context = batch.repeat(options.samples), context.repeat(options.samples)
     guide: Guidance | None = None
-    chosen: tuple[str, ...] = ()
+    attackers: tuple[str, ...] = ()
     if options.guided:
-        guide, chosen = guidance(networks, options, view, Scenes(batch, many, context), before)
+        scenes = Scenes(batch, repeated, context)
+        guide, attackers = guidance(networks, options, view, scenes, previous_shifts)
     x = sample(
-        networks.denoiser(several),
+        networks.denoiser(repeated_context),
         options.noise * start.to(networks.device),
         networks.schedule,
         networks.sampling,
         generator,
         guide,
     )
-    natural = torch.tensor([name not in chosen for name in view.ids], device=networks.device)
-    x = with_pace(x, networks.faster, many.pose[..., 3], options.briskness * natural)
-    rollout = decode(networks, x, several, many)
-    rows = [view.ids.index(name) for name in chosen]
-    best = most_plausible(rollout, many, rows) if options.samples > 1 else 0
-    kept = start[best].flatten(1).numpy().astype(np.float64)
+    natural = torch.tensor([name not in attackers for name in view.ids], device=networks.device)
+    x = with_pace(x, networks.faster, repeated.pose[..., 3], options.briskness * natural)
+    rollout = decode(networks, x, repeated_context, repeated)
+    rows = [view.ids.index(name) for name in attackers]
+    best = most_plausible(rollout, repeated, rows) if options.samples > 1 else 0
+    start_noise = start[best].flatten(1).numpy().astype(np.float64)
     return Drawn(
-        rollout=_only(rollout, best),
-        noise={name: kept[row] for row, name in enumerate(view.ids)},
-        attackers=chosen,
+        rollout=_single_scene(rollout, best),
+        noise={name: start_noise[row] for row, name in enumerate(view.ids)},
+        attackers=attackers,
         latents=x[best].flatten(1),
-        shifts=_shifts(guide, view, chosen, best),
+        shifts=_shifts(guide, view, attackers, best),
     )
 
 
 @torch.no_grad()
 def encode(networks: Networks, batch: SceneBatch) -> Context:
-    """Return embeddings and prior of *batch*, without gradients."""
+    """Return the embeddings and the prior of *batch*, without gradients."""
     context: Context = networks.bundle.traffic.encoder(batch)
     return context
 
@@ -97,31 +99,31 @@ def decode(networks: Networks, x: Tensor, context: Context, batch: SceneBatch) -
 
 
 def without_jumps(rollout: Rollout, batch: SceneBatch) -> Rollout:
-    """Return *rollout* with moves of an instant no longer than ``_FASTEST_MPS`` makes them.
+    """Return *rollout* with each step shortened to what ``_FASTEST_MPS`` allows.
 
-    Trajectories that are diffused know no vehicle; a plan with a jump would be refused.
+    Diffused trajectories obey no vehicle model, and a run refuses a plan with a jump.
     """
-    moves = torch.diff(rollout.xy, dim=2, prepend=batch.pose[:, :, None, :2])
-    share = (_FASTEST_MPS * MODEL_STEP_S / moves.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1.0)
+    strides = torch.diff(rollout.xy, dim=2, prepend=batch.pose[:, :, None, :2])
+    share = (_FASTEST_MPS * MODEL_STEP_S / strides.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1.0)
     speed = rollout.speed.clamp(0.0, _FASTEST_MPS)
-    return replace(rollout, xy=batch.pose[:, :, None, :2] + (share * moves).cumsum(2), speed=speed)
+    return replace(rollout, xy=batch.pose[:, :, None, :2] + (share * strides).cumsum(2), speed=speed)
 
 
-def _start(
+def _start_noise(
     options: DiffusionOptions,
     view: View,
     noise: Mapping[str, FloatArray],
     shape: tuple[int, int],
     generator: torch.Generator,
 ) -> Tensor:
-    """Return standard normal noise (samples, A, C, L); the first sample goes on from the last plan's."""
-    fresh = draw(torch.zeros(options.samples, len(view.ids), *shape), generator)
+    """Return standard normal noise (samples, A, C, L); the first sample keeps a share of the previous plan's."""
+    start = draw(torch.zeros(options.samples, len(view.ids), *shape), generator)
     share = options.persistence
     for row, name in enumerate(view.ids):
         if name in noise:
-            old = torch.from_numpy(noise[name]).to(fresh.dtype)
-            fresh[0, row] = share * old.reshape(shape) + (1.0 - share**2) ** 0.5 * fresh[0, row]
-    return fresh
+            previous = torch.from_numpy(noise[name]).to(start.dtype)
+            start[0, row] = share * previous.reshape(shape) + (1.0 - share**2) ** 0.5 * start[0, row]
+    return start
 
 
 def _shifts(
@@ -135,20 +137,20 @@ def _shifts(
 
 @torch.no_grad()
 def most_plausible(rollout: Rollout, batch: SceneBatch, attackers: Sequence[int]) -> int:
-    """Return the sample in which vehicles overlap each other and leave the road least.
+    """Return the index of the sample in which vehicles overlap and leave the road least.
 
     Args:
         rollout: samples (B, A, T) of one scene, the target first.
-        batch: the scene, B times.
-        attackers: rows of who is guided to the target; what they overlap it does not count.
+        batch: the scene, repeated B times.
+        attackers: rows of the guided vehicles; their overlap with the target does not count.
     """
     overlap, rows = pair_overlap(rollout, batch.size, batch.present), list(attackers)
     overlap[:, 0, rows] = overlap[:, rows, 0] = 0.0
-    touching = overlap.amax(dim=(2, 3)).sum(1)
-    return int((touching + off_road(rollout, batch).amax(2).sum(1)).argmin())
+    overlaps = overlap.amax(dim=(2, 3)).sum(1)
+    return int((overlaps + off_road(rollout, batch).amax(2).sum(1)).argmin())
 
 
-def _only(rollout: Rollout, scene: int) -> Rollout:
+def _single_scene(rollout: Rollout, scene: int) -> Rollout:
     cut = slice(scene, scene + 1)
     return Rollout(
         rollout.xy[cut], rollout.yaw[cut], rollout.speed[cut], rollout.accel[cut], rollout.curvature[cut]

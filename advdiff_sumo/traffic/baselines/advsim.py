@@ -2,9 +2,11 @@
 
 After Wang, Pun, Tu, Manivasagam, Sadat, Casas, Ren and Urtasun (2021), "AdvSim: Generating Safety-Critical
 Scenarios for Self-Driving Vehicles", doi:10.1109/CVPR46437.2021.00978. Ours differs from the paper: it runs in
-closed loop from what the last search found, with SimNet's actions as the initial ones (Xie et al. 2024, Sec. IV-C);
-CMA-ES stands for the paper's black-box methods; others do not evade within the search; planners get states, and plans
-pass the safeguard. Every ``refresh`` rounds the surrogate reacts to the best candidate, taken only where it is better.
+closed loop, each search starts from the previous result, and SimNet's actions are the initial ones (Xie et al. 2024,
+Sec. IV-C);
+CMA-ES replaces the paper's black-box methods; other vehicles do not evade within the search; planners get states;
+plans pass the safeguard. Every ``refresh`` rounds the surrogate reacts to the best candidate, which is kept only if
+it is better than the best one so far.
 """
 
 from __future__ import annotations
@@ -27,13 +29,13 @@ from advdiff_sumo.models.model_options import FUTURE_STEPS, ModelOptions
 from advdiff_sumo.models.shipped_weights import find_weights
 from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.traffic.background_plan import steps_driven
-from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of
+from advdiff_sumo.traffic.baselines.advsim_actions import Initial, drive, initial_of
 from advdiff_sumo.traffic.baselines.advsim_cost import (
     Ground,
     attack_cost,
     discomfort,
     ground_of,
-    keeps,
+    keeps_constraints,
     search_cost,
     violation,
 )
@@ -54,7 +56,7 @@ from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import futures_of
 
 Driver: TypeAlias = Callable[[SceneBatch], Rollout]
-"""What drives everybody before the search."""
+"""Function that returns the initial futures of all road users."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,12 @@ class _Case:
     """One search.
 
     Attributes:
-        task: what was asked.
+        task: the search task.
         batch: the scene.
-        rollout: everybody's initial future, (1, A, T).
-        rows: (R,) attackers.
+        rollout: initial futures (1, A, T) of all road users.
+        rows: (R,) rows of the attackers.
         initial: their initial actions.
-        answer: what the surrogate does now.
+        answer: present plan of the surrogate.
     """
 
     task: SearchTask
@@ -80,27 +82,27 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Best:
-    """The best changes so far, with the target's reaction to them.
+    """The best changes so far, judged with the target's reaction to them.
 
     Attributes:
-        changes: (R, H, 2).
-        cost: distance to the reacting target and its discomfort; less is better.
-        ground: what was met.
-        keeps: whether they keep the constraints.
+        changes: (R, H, 2) changes of the attackers' actions.
+        cost: distance to the reacting target, less its weighted discomfort; lower is better.
+        ground: motions of the other road users with that reaction.
+        is_valid: whether the constraints are kept.
     """
 
     changes: Tensor
     cost: float
     ground: Ground
-    keeps: bool
+    is_valid: bool
 
 
 class AdvSim(BaselinePolicy):
     """Moves the background by SimNet and attackers by searched actions; options are :class:`AdvSimOptions`.
 
     Attributes:
-        options: checked.
-        driver: what drives everybody before the search.
+        options: the checked options.
+        driver: returns the initial futures of all road users.
     """
 
     Options: ClassVar[type[AdvSimOptions]] = AdvSimOptions
@@ -119,84 +121,88 @@ class AdvSim(BaselinePolicy):
         self.driver: Driver = self._simnet() if self.options.initial == "simnet" else self._decoder
 
     def search(self, task: SearchTask) -> SearchResult:
-        """Return SimNet's future with the attackers' actions replaced by those that were found."""
+        """Return the initial futures with the attackers' actions replaced by those found."""
         batch = task.view.batch.to(self.prior.device)
         with torch.no_grad():
             rollout = self.driver(batch)
             case = self._case(task, batch, rollout) if self.options.rounds else None
             if case is None:
                 return self._natural(task, batch, rollout)
-            best, losses = self._rounds(case)
-            planned = self._with(case, best.changes)
+            best, losses = self._search_rounds(case)
+            planned = self._with_changes(case, best.changes)
         return self._result(case, planned, best, losses)
 
     def _case(self, task: SearchTask, batch: SceneBatch, rollout: Rollout) -> _Case | None:
-        """Return who shall attack and how they would drive; None where nobody can."""
+        """Return the search for the chosen attackers; None if no vehicle can attack."""
         futures = futures_of(task.view.now, rollout)
-        may = can_attack(futures, task.view.moved, self.options.licence)
-        rows = choose(futures, may, "any", self.options.attackers, task.before())
+        candidates = can_attack(futures, task.view.moved, self.options.licence)
+        rows = choose(futures, candidates, "any", self.options.attackers, task.attacked_before())
         if not len(rows):
             return None
-        chosen = torch.from_numpy(rows).to(self.prior.device)
-        return _Case(task, batch, rollout, chosen, initial_of(rollout, batch, chosen), self.ask(task))
+        attackers = torch.from_numpy(rows).to(self.prior.device)
+        return _Case(task, batch, rollout, attackers, initial_of(rollout, batch, attackers), self.ask(task))
 
-    def _rounds(self, case: _Case) -> tuple[_Best, tuple[float, ...]]:
-        """Search in blocks of rounds; after each the surrogate reacts, and the better of both is kept."""
+    def _search_rounds(self, case: _Case) -> tuple[_Best, tuple[float, ...]]:
+        """Search in blocks of rounds; after each the surrogate reacts, and the best changes so far are kept."""
         zero = torch.zeros(len(case.rows), HORIZON_STEPS, 2, device=case.rows.device)
-        best = self._judged(case, zero)
-        mean = self._warm(case)
+        best = self._judge(case, zero)
+        mean = self._previous_changes(case)
         if mean.any():
-            best = self._better(best, self._judged(case, mean, best.ground.allowed))
+            best = self._better(best, self._judge(case, mean, best.ground.allowed))
         optimiser = self._optimiser(case, mean)
         ground, losses, done = best.ground, list[float](), 0
         while done < self.options.rounds:
             block = min(self.options.refresh, self.options.rounds - done)
-            best_of_block, costs = self._block(case, optimiser, ground, block)
+            block_best, costs = self._search_block(case, optimiser, ground, block)
             losses += costs
             done += block
-            judged = self._judged(case, best_of_block, best.ground.allowed)
+            judged = self._judge(case, block_best, best.ground.allowed)
             ground = judged.ground
             best = self._better(best, judged)
         return best, tuple(losses)
 
-    def _block(self, case: _Case, optimiser: Any, ground: Ground, rounds: int) -> tuple[Tensor, list[float]]:
-        """Return the best changes of some rounds against *ground*, and the least cost after each round."""
+    def _search_block(
+        self, case: _Case, optimiser: Any, ground: Ground, rounds: int
+    ) -> tuple[Tensor, list[float]]:
+        """Return the best changes of *rounds* against *ground*, and the lowest cost so far after each round."""
         shape = (len(case.rows), HORIZON_STEPS, 2)
-        least, kept, costs = np.inf, torch.zeros(shape), list[float]()
+        lowest, best, costs = np.inf, torch.zeros(shape), list[float]()
         for _ in range(rounds):
-            asked = np.stack([optimiser.ask() for _ in range(optimiser.population_size)])
-            changes = torch.from_numpy(asked.reshape(-1, *shape)).to(case.rollout.xy)
+            candidates = np.stack([optimiser.ask() for _ in range(optimiser.population_size)])
+            changes = torch.from_numpy(candidates.reshape(-1, *shape)).to(case.rollout.xy)
             with torch.inference_mode():
-                cost = search_cost(self._cut(case, changes), ground, changes, self.options.effort)
+                cost = search_cost(
+                    self._attacker_futures(case, changes), ground, changes, self.options.effort
+                )
             values = cost.cpu().numpy().astype(np.float64)
-            optimiser.tell(list(zip(asked, values.tolist(), strict=True)))
+            optimiser.tell(list(zip(candidates, values.tolist(), strict=True)))
             first = int(values.argmin())
-            if values[first] < least:
-                least, kept = float(values[first]), changes[first]
-            costs.append(least)
-        return kept.to(case.rollout.xy), costs
+            if values[first] < lowest:
+                lowest, best = float(values[first]), changes[first]
+            costs.append(lowest)
+        return best.to(case.rollout.xy), costs
 
-    def _judged(self, case: _Case, changes: Tensor, allowed: float | None = None) -> _Best:
-        """Return *changes* (R, H, 2) with their cost while the surrogate reacts to them.
+    def _judge(self, case: _Case, changes: Tensor, allowed: float | None = None) -> _Best:
+        """Return *changes* (R, H, 2) with their cost if the surrogate reacts to them.
 
         Args:
             case: the search.
-            changes: to be judged.
-            allowed: violation of the constraints that the first sequence has; None: this is the first one.
+            changes: changes to judge.
+            allowed: violation of the constraints by the initial actions; None: *changes* are those.
         """
-        planned = self._with(case, changes, HORIZON_STEPS)
+        planned = self._with_changes(case, changes, HORIZON_STEPS)
         forced = self.react(case.task, case.answer, planned)
-        answered = with_target(planned, forced)
-        ground = ground_of(answered, case.batch, case.rows, HORIZON_STEPS)
-        own = Rollout(*(part[:, case.rows] for part in parts(planned)))
-        over = float(violation(own, ground))
-        ground = replace(ground, allowed=over if allowed is None else allowed)
-        states = torch.cat((case.batch.pose[0, :1], answered.states()[0, 0, :HORIZON_STEPS]))
-        cost = float(attack_cost(own, ground)) - self.options.comfort * discomfort(states)
-        return _Best(changes, cost, ground, keeps(over, ground))
+        reacted = with_target(planned, forced)
+        ground = ground_of(reacted, case.batch, case.rows, HORIZON_STEPS)
+        attackers = Rollout(*(part[:, case.rows] for part in parts(planned)))
+        violated = float(violation(attackers, ground))
+        ground = replace(ground, allowed=violated if allowed is None else allowed)
+        states = torch.cat((case.batch.pose[0, :1], reacted.states()[0, 0, :HORIZON_STEPS]))
+        cost = float(attack_cost(attackers, ground)) - self.options.comfort * discomfort(states)
+        return _Best(changes, cost, ground, keeps_constraints(violated, ground))
 
     def _better(self, best: _Best, other: _Best) -> _Best:
-        return other if other.keeps and other.cost < best.cost else best
+        return other if other.is_valid and other.cost < best.cost else best
 
     def _optimiser(self, case: _Case, mean: Tensor) -> Any:
         size = mean.numel()
@@ -208,25 +214,25 @@ class AdvSim(BaselinePolicy):
             population_size=self.options.candidates,
         )
 
-    def _warm(self, case: _Case) -> Tensor:
-        """Return what the last plan had found, as many steps on as were driven since, (R, H, 2)."""
-        on = min(steps_driven(case.task.memory.plan, case.task.view.scene), HORIZON_STEPS)
-        out = np.zeros((len(case.rows), HORIZON_STEPS, 2))
-        for number, row in enumerate(case.rows.tolist()):
-            old = case.task.memory.searched.get(case.task.view.ids[row])
-            if old is not None:
-                out[number, : HORIZON_STEPS - on] = old.reshape(HORIZON_STEPS, 2)[on:]
-        return torch.from_numpy(out).to(case.rollout.xy)
+    def _previous_changes(self, case: _Case) -> Tensor:
+        """Return the changes (R, H, 2) found for the previous plan, shifted by the steps driven since."""
+        steps = min(steps_driven(case.task.memory.plan, case.task.view.scene), HORIZON_STEPS)
+        changes = np.zeros((len(case.rows), HORIZON_STEPS, 2))
+        for attacker, row in enumerate(case.rows.tolist()):
+            previous = case.task.memory.searched.get(case.task.view.ids[row])
+            if previous is not None:
+                changes[attacker, : HORIZON_STEPS - steps] = previous.reshape(HORIZON_STEPS, 2)[steps:]
+        return torch.from_numpy(changes).to(case.rollout.xy)
 
-    def _with(self, case: _Case, changes: Tensor, steps: int = FUTURE_STEPS) -> Rollout:
-        """Return everybody's future (1, A, T) with the attackers' *changes* (R, H, 2), T no more than *steps*."""
-        own = driven(changes[None], case.initial, self.options, self.model, steps)
-        pairs = zip(parts(cut(case.rollout, steps)), parts(own), strict=True)
-        return Rollout(*(whole.index_copy(1, case.rows, part) for whole, part in pairs))
+    def _with_changes(self, case: _Case, changes: Tensor, steps: int = FUTURE_STEPS) -> Rollout:
+        """Return all futures (1, A, T) with the attackers' *changes* (R, H, 2); T is at most *steps*."""
+        attackers = drive(changes[None], case.initial, self.options, self.model, steps)
+        pairs = zip(parts(cut(case.rollout, steps)), parts(attackers), strict=True)
+        return Rollout(*(initial.index_copy(1, case.rows, changed) for initial, changed in pairs))
 
-    def _cut(self, case: _Case, changes: Tensor) -> Rollout:
-        """Return the attackers' futures (P, R, H) of *changes* (P, R, H, 2)."""
-        return driven(changes, case.initial, self.options, self.model, HORIZON_STEPS)
+    def _attacker_futures(self, case: _Case, changes: Tensor) -> Rollout:
+        """Return the attackers' futures (P, R, H) under *changes* (P, R, H, 2)."""
+        return drive(changes, case.initial, self.options, self.model, HORIZON_STEPS)
 
     def _natural(self, task: SearchTask, batch: SceneBatch, rollout: Rollout) -> SearchResult:
         memory = replace(task.memory, searched={}, attackers=())
@@ -236,17 +242,17 @@ class AdvSim(BaselinePolicy):
         self, case: _Case, best_plan: Rollout, best: _Best, losses: tuple[float, ...]
     ) -> SearchResult:
         names = tuple(case.task.view.ids[row] for row in case.rows.tolist())
-        kept: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
+        found: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
         memory = replace(
             case.task.memory,
-            searched=dict(zip(names, kept, strict=True)),
+            searched=dict(zip(names, found, strict=True)),
             attackers=names,
             surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
         )
         return SearchResult(Drawn(best_plan, {}, names, self._latents(case.batch)), memory, losses)
 
     def _latents(self, batch: SceneBatch) -> Tensor:
-        """Return (A, Z) the prior's mean, scaled: actions have no latents, and listeners want some."""
+        """Return (A, Z) the scaled mean of the prior, for listeners: searched actions have no latents."""
         with torch.no_grad():
             context: Context = self.prior.traffic.encoder(batch)
         return self.prior.codec.scale(context.prior.mean[0][:, None])[:, 0]

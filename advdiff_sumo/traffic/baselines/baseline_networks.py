@@ -1,4 +1,4 @@
-"""The traffic model that baselines search in."""
+"""Loads the traffic model in which the baselines search."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class FrozenPrior:
 
     Attributes:
         traffic: the networks.
-        codec: between their latents and scaled ones.
-        device: where they are.
+        codec: converts between latents and scaled latents.
+        device: device of the networks.
     """
 
     traffic: TrafficModel
@@ -34,19 +34,23 @@ class FrozenPrior:
 
     @property
     def map_view(self) -> MapView:
-        """How much of the map the networks were trained to see."""
+        """The view of the map with which the networks were trained."""
         return self.traffic.decoder.options.map_view
 
 
 @one_thread()
-def prior_of(options: BaselineOptions, whose: str) -> FrozenPrior:
-    """Return the networks that *options* name; read once a process.
+def prior_of(options: BaselineOptions, owner: str) -> FrozenPrior:
+    """Return the networks that *options* name; files are read once a process.
+
+    Args:
+        options: options of the baseline.
+        owner: name of the baseline in error messages.
 
     Raises:
         WeightsError: the file is missing, damaged, or holds no latent model.
         ConfigError: no such device.
     """
-    device = device_of(options.device, whose)
+    device = device_of(options.device, owner)
     return _prior(str(find_weights(options.weights)), device)
 
 

@@ -1,4 +1,4 @@
-"""Options of the baselines, in the words of a user."""
+"""Options of the baselines."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from advdiff_sumo.traffic.licence import LicenceName
 
 
 class BaselineOptions(Options):
-    """What every baseline takes.
+    """Options of every baseline.
 
     Attributes:
-        licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.
-        rounds: of the search for a plan; 0 is where the search starts from, exactly.
-        attackers: most vehicles that attack at a time.
-        surrogate: whose reaction the search expects of the target: "lane_graph", "model" (the traffic model's
-            prediction), or a planner of one's own as an entry point or ``package.module:Class``.
+        licence: what attackers may do, as in ``diffusion``: "lawful", "careless", or "reckless", as published.
+        rounds: rounds of the search for a plan; 0: exactly the plan from which the search starts.
+        attackers: largest number of simultaneous attackers.
+        surrogate: model of the target's reaction in the search: "lane_graph", "model" (the traffic model's
+            prediction), or your own planner as an entry point or ``package.module:Class``.
         refresh: rounds after which the surrogate reacts to the search's latest plan.
-        replan: model steps of 0.5 s of a plan that are driven before the next one.
+        replan: number of model steps of 0.5 s of a plan that are driven before the next plan.
         weights: a bundle of networks, or "closed-loop" for the shipped one of that name; empty: "traffic".
-        device: "auto": a GPU where there is one, else the CPU; or a name that PyTorch knows.
+        device: "auto": a GPU if there is one, else the CPU; or a device name of PyTorch.
     """
 
     licence: LicenceName = "lawful"
@@ -36,20 +36,20 @@ class BaselineOptions(Options):
 
 
 class StriveOptions(BaselineOptions):
-    """Options of ``strive``; weights of the loss as published with the paper, latents counted in deviations.
+    """Options of ``strive``; the loss has the weights published with the paper; latents are in standard deviations.
 
     Attributes:
-        rate: step of Adam, in deviations of the prior.
-        temperature: of the latents that the search starts from: 0 is the prior's mean, 1 a draw from it.
-        persistence: how much of a vehicle's latent, as the search left it, the next plan starts from.
-        adversarial: weight of the squared distance to the target, soft over vehicles and time.
+        rate: learning rate of Adam, in standard deviations of the prior.
+        temperature: factor on the noise of the latents from which a search starts: 0: the prior's mean; 1: a draw.
+        persistence: share of a vehicle's searched latent with which the next search starts.
+        adversarial: weight of the squared distance to the target, soft-minimised over vehicles and time.
         vehicles: weight of vehicles that collide with each other.
-        target: weight of vehicles that collide with the target although they do not attack.
+        target: weight of vehicles that collide with the target although they are no attackers.
         road: weight of leaving the road.
-        prior: weight of latents that the prior finds unlikely.
-        prior_attacker: the same for who attacks.
+        prior: weight of latents that are unlikely under the prior.
+        prior_attacker: the same for attackers.
         start: weight of the distance from the natural latents.
-        start_attacker: the same for who attacks.
+        start_attacker: the same for attackers.
     """
 
     rate: float = Field(0.4, gt=0.0, le=10.0)
@@ -69,14 +69,14 @@ class AdvSimOptions(BaselineOptions):
     """Options of ``advsim``.
 
     Attributes:
-        initial: what drives everybody before the search: "simnet", or "model" (the decoder at the prior's mean).
-        simnet: a SimNet of one's own; empty: the shipped one.
-        candidates: action sequences that are tried in a round.
-        spread: deviation of the first round's, as a share of the bounds.
-        accel_mps2: how far a searched acceleration may be from the initial one.
-        steer_share: the same for the curvature, as a share of the largest at the speed.
-        jerk_mps3: largest change of acceleration in a second.
-        swerve_mps3: largest change of lateral acceleration in a second.
+        initial: source of the initial futures: "simnet", or "model" (the decoder at the prior's mean).
+        simnet: file of your own SimNet; empty: the shipped one.
+        candidates: number of action sequences in a round.
+        spread: standard deviation of the first round's candidates, as a share of the bounds.
+        accel_mps2: largest difference of a searched acceleration from the initial one.
+        steer_share: the same for curvature, as a share of the largest one at the speed.
+        jerk_mps3: largest rate of change of acceleration.
+        swerve_mps3: largest rate of change of lateral acceleration.
         comfort: weight of the surrogate's discomfort beside the distance.
         effort: weight of the distance from the initial actions.
     """

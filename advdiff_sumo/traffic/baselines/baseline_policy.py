@@ -1,4 +1,4 @@
-"""What the baselines share: they look, search, and hand their plan to the safeguard of ``diffusion``."""
+"""Base class of the baselines: view the scene, search a plan, pass it through licence and safeguard."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from advdiff_sumo.traffic.background_plan import (
 )
 from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
-from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, imagine, make_surrogate
+from advdiff_sumo.traffic.baselines.surrogate import Answer, Surrogate, ask, drive_surrogate, make_surrogate
 from advdiff_sumo.traffic.diffusion.diffusion_policy import Listener
 from advdiff_sumo.traffic.diffusion.guidance import HORIZON_STEPS
 from advdiff_sumo.traffic.planning.drawn import Drawn
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BaselineMemory:
-    """What a baseline remembers from plan to plan.
+    """Memory of a baseline from plan to plan.
 
     Attributes:
-        searched: id → what the last search found for the vehicle.
-        natural: id → the standardised latent that its search started from.
-        attackers: ids that attacked last.
+        searched: id → result of the previous search for the vehicle.
+        natural: id → standardised latent from which that search started.
+        attackers: ids of the previous attackers.
         surrogate: memory of the surrogate.
-        plan: the last plan, at its own clock.
-        driven: model steps of it that had been driven when it was handed out last.
+        plan: the previous plan, at its own clock.
+        driven: number of its model steps that had been driven at the previous call.
     """
 
     searched: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -61,13 +61,13 @@ class BaselineMemory:
 
 @dataclass(frozen=True)
 class SearchTask:
-    """One search.
+    """The input of one search.
 
     Attributes:
         road: the map.
-        view: what is seen.
-        memory: of the last search.
-        seed: of all random numbers.
+        view: the scene as the networks see it.
+        memory: memory after the previous search.
+        seed: seed of all random numbers.
     """
 
     road: RoadMap
@@ -75,19 +75,19 @@ class SearchTask:
     memory: BaselineMemory
     seed: int
 
-    def before(self) -> BoolArray:
-        """Return (A,) who attacked last."""
+    def attacked_before(self) -> BoolArray:
+        """Return (A,) whether the vehicle attacked in the previous plan."""
         return np.isin(self.view.ids, self.memory.attackers)
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search came to.
+    """The result of a search.
 
     Attributes:
-        drawn: the plan.
-        memory: for the next one, but for the plan itself.
-        losses: the search's objective, round by round.
+        drawn: the proposed plan.
+        memory: memory for the next search, without the plan itself.
+        losses: the search's objective after each round.
     """
 
     drawn: Drawn
@@ -96,11 +96,11 @@ class SearchResult:
 
 
 class BaselinePolicy(ABC):
-    """A background policy that searches a plan anew every ``replan`` model steps.
+    """A background policy that searches a new plan every ``replan`` model steps.
 
     Attributes:
-        surrogate: stands for the target; None: the traffic model's prediction does.
-        listener: told of every plan before the safeguard, as of ``diffusion``.
+        surrogate: planner that represents the target; None: the traffic model's prediction does.
+        listener: called with every proposal, as in ``diffusion``.
     """
 
     options: BaselineOptions
@@ -113,7 +113,7 @@ class BaselinePolicy(ABC):
 
     @abstractmethod
     def search(self, task: SearchTask) -> SearchResult:
-        """Return the plan that was found for the view of *task*."""
+        """Return the plan found for *task*."""
 
     def start(
         self,
@@ -122,72 +122,72 @@ class BaselinePolicy(ABC):
         log: Tracks | None,  # noqa: ARG002 - the contract
         rng: np.random.Generator,
     ) -> BaselineMemory:
-        """Return an empty memory, and let the map make its table of pieces."""
+        """Return an empty memory, after the map has made its table of pieces."""
         _ = road.pieces(self.prior.map_view)
         if self.surrogate is None:
             return BaselineMemory()
-        own = np.random.default_rng(int(rng.integers(2**62)))
-        return BaselineMemory(surrogate=self.surrogate.start(road, scene, own))
+        surrogate_rng = np.random.default_rng(int(rng.integers(2**62)))
+        return BaselineMemory(surrogate=self.surrogate.start(road, scene, surrogate_rng))
 
     @one_thread()
     def plan(
         self, road: RoadMap, scene: Scene, memory: BaselineMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, BaselineMemory]:
         """Return the futures of all movable vehicles, 6 s at 2 Hz, and the memory for the next plan."""
-        kept = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
-        if kept is not None:
-            return JointPlan(kept), replace(memory, driven=steps_driven(memory.plan, scene))
+        remaining = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
+        if remaining is not None:
+            return JointPlan(remaining), replace(memory, driven=steps_driven(memory.plan, scene))
         view, lanes = outlook(road, scene, self.prior.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return JointPlan(empty_plan(scene), attack=AttackState("any")), replace(memory, plan=None)
-        proposal = self.search(SearchTask(road, view, memory, seed))
+        result = self.search(SearchTask(road, view, memory, seed))
         if self.listener is not None:
-            self.listener(view, proposal.drawn)
+            self.listener(view, result.drawn)
         rules = Rules(self.options.licence, self.options.attackers)
         plan = plausible_plan(
-            road, view, lanes, proposal.drawn, (memory.plan, steps_driven(memory.plan, scene)), rules
+            road, view, lanes, result.drawn, (memory.plan, steps_driven(memory.plan, scene)), rules
         )
         state = AttackState("any", plan.attackers)
-        memory = replace(proposal.memory, plan=plan.tracks, driven=0)
+        memory = replace(result.memory, plan=plan.tracks, driven=0)
         return JointPlan(plan.tracks, attack=state, safeguarded=plan.safeguarded), memory
 
     def ask(self, task: SearchTask) -> Answer | None:
-        """Return what the surrogate does now; None where the traffic model's prediction stands for the target."""
+        """Return the surrogate's present plan; None if the traffic model's prediction represents the target."""
         if self.surrogate is None:
             return None
         return ask(task.road, self.surrogate, task.view, task.memory.surrogate, task.seed)
 
     def react(self, task: SearchTask, answer: Answer | None, rollout: Rollout) -> Forced | None:
-        """Return what the surrogate does, first of all *answer*, while the others drive *rollout*."""
+        """Return the surrogate's states if the others drive *rollout*; they begin with *answer*."""
         if self.surrogate is None or answer is None:
             return None
         futures = futures_of(task.view.now, rollout)
-        states = imagine(task.road, self.surrogate, task.view, futures, answer, HORIZON_STEPS)
+        states = drive_surrogate(task.road, self.surrogate, task.view, futures, answer, HORIZON_STEPS)
         return forced_target(states, task.view, rollout.xy.device)
 
 
 def forced_target(states: FloatArray, view: View, device: torch.device) -> Forced:
-    """Return *states* (T, 4) of the target, world frame, as what the decoder is to take for granted."""
-    given = torch.zeros(1, len(view.rows), FUTURE_STEPS, 4, device=device)
-    mask = torch.zeros(given.shape[:3], dtype=torch.bool, device=device)
+    """Return *states* (T, 4) of the target, in the world frame, as states that the decoder must keep."""
+    forced = torch.zeros(1, len(view.rows), FUTURE_STEPS, 4, device=device)
+    mask = torch.zeros(forced.shape[:3], dtype=torch.bool, device=device)
     local = states - np.array([*view.now.xy_m[0, -1], 0.0, 0.0])
-    given[0, 0, : len(states)] = torch.as_tensor(local, dtype=given.dtype, device=device)
+    forced[0, 0, : len(states)] = torch.as_tensor(local, dtype=forced.dtype, device=device)
     mask[0, 0, : len(states)] = True
-    return Forced(given, mask)
+    return Forced(forced, mask)
 
 
 def with_target(rollout: Rollout, forced: Forced | None) -> Rollout:
-    """Return *rollout* with the target where *forced* puts it."""
+    """Return *rollout* with the states of *forced* for the target."""
     if forced is None:
         return rollout
     steps = rollout.yaw.shape[2]
-    given, mask = forced.states[:, :, :steps], forced.mask[:, :, :steps]
+    states, mask = forced.states[:, :, :steps], forced.mask[:, :, :steps]
     return replace(
         rollout,
-        xy=torch.where(mask[..., None], given[..., :2], rollout.xy),
-        yaw=torch.where(mask, given[..., 2], rollout.yaw),
-        speed=torch.where(mask, given[..., 3], rollout.speed),
+        xy=torch.where(mask[..., None], states[..., :2], rollout.xy),
+        yaw=torch.where(mask, states[..., 2], rollout.yaw),
+        speed=torch.where(mask, states[..., 3], rollout.speed),
     )
 
 
@@ -202,7 +202,7 @@ def parts(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
 
 
 def halves(rollout: Rollout, pose: Tensor) -> Rollout:
-    """Return *rollout* with the middles between its instants, and of now and the first one, put in.
+    """Return *rollout* at half steps: its instants and the midpoints before each of them.
 
     Args:
         rollout: futures (B, A, T).
@@ -212,10 +212,12 @@ def halves(rollout: Rollout, pose: Tensor) -> Rollout:
     yaw = torch.cat((pose[:, :, None, 2], rollout.yaw), dim=2)
     centre = 0.5 * (xy[:, :, 1:] + xy[:, :, :-1])
     heading = yaw[:, :, :-1] + 0.5 * _turn(yaw)
-    twice = torch.stack((centre, rollout.xy), dim=3).flatten(2, 3)
-    turned = torch.stack((heading, rollout.yaw), dim=3).flatten(2, 3)
-    rest = (part.repeat_interleave(2, dim=2) for part in (rollout.speed, rollout.accel, rollout.curvature))
-    return Rollout(twice, turned, *rest)
+    all_xy = torch.stack((centre, rollout.xy), dim=3).flatten(2, 3)
+    all_yaw = torch.stack((heading, rollout.yaw), dim=3).flatten(2, 3)
+    repeated = (
+        part.repeat_interleave(2, dim=2) for part in (rollout.speed, rollout.accel, rollout.curvature)
+    )
+    return Rollout(all_xy, all_yaw, *repeated)
 
 
 def _turn(yaw: Tensor) -> Tensor:

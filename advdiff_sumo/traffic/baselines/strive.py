@@ -1,12 +1,15 @@
 """The background policy ``strive``: a search over the latents of a traffic prior.
 
 After Rempe, Philion, Guibas, Fidler and Litany (2022), "Generating Useful Accident-Prone Driving Scenarios via a
-Learned Traffic Prior", doi:10.1109/CVPR52688.2022.01679. Ours differs from the paper: it runs in closed loop and a
-search starts from the last one's result, with 20 rounds, as AdvDiffuser grants it (Xie et al. 2024, Sec. IV-C), in
-place of 200, and so at a rate of 0.4 in place of 0.05. The decoder takes the surrogate's states, asked for 4 s and
-anew every ``refresh`` rounds; the target's latent is not matched to the planner. The loss looks 4 s ahead, with this
-project's prior; the attacker is one whom the licence lets attack, and plans pass the safeguard. Other weights are
-those of the paper's code.
+Learned Traffic Prior", doi:10.1109/CVPR52688.2022.01679. Ours differs from the paper:
+
+- It runs in closed loop, and each search starts from the previous result. It takes 20 rounds, as in AdvDiffuser (Xie
+  et al. 2024, Sec. IV-C), not 200, and hence a rate of 0.4, not 0.05.
+- The surrogate's states over 4 s, renewed every ``refresh`` rounds, are forced on the decoder; the target's latent is
+  not matched to the planner.
+- The loss covers 4 s and uses this project's prior. The licence limits who may attack; plans pass the safeguard.
+
+The weights of the loss are those of the paper's code.
 """
 
 from __future__ import annotations
@@ -43,37 +46,37 @@ from advdiff_sumo.traffic.planning.futures import futures_of
 
 @dataclass(frozen=True)
 class _Start:
-    """Where a search begins.
+    """The starting point of a search.
 
     Attributes:
         batch: the scene.
         context: its embeddings and prior.
-        edges: of the road around.
-        moved: (A,) whose latents are searched.
-        may: (A,) who of them may attack.
+        edges: edges of the road around it.
+        moved: (A,) whether the vehicle's latent is searched.
+        may_attack: (A,) whether the vehicle may attack.
         natural: (A, Z) standardised latents without an attack.
-        warm: (A, Z) the same with what the last plan had found.
+        warm_start: (A, Z) the same plus the result of the previous search.
     """
 
     batch: SceneBatch
     context: Context
     edges: RoadEdges
     moved: Tensor
-    may: Tensor
+    may_attack: Tensor
     natural: Tensor
-    warm: Tensor
+    warm_start: Tensor
 
 
 @dataclass(frozen=True)
 class _Result:
-    """What the rounds came to.
+    """The result of a search.
 
     Attributes:
         epsilon: (A, Z) standardised latents.
-        forced: the surrogate's last answer.
+        forced: the surrogate's latest states.
         surrogate: its memory.
-        losses: of every round, before its step.
-        share: (A,) who attacks.
+        losses: loss of every round, before its step.
+        share: (A,) share of each vehicle in the attack.
     """
 
     epsilon: Tensor
@@ -87,9 +90,9 @@ class Strive(BaselinePolicy):
     """Moves the background by optimised latents; options are those of :class:`StriveOptions`.
 
     Attributes:
-        options: checked.
+        options: the checked options.
         prior: the traffic model.
-        decoder: its roll-out, equal up to rounding on every device.
+        decoder: its decoder, equal up to rounding on every device.
     """
 
     Options: ClassVar[type[StriveOptions]] = StriveOptions
@@ -107,9 +110,13 @@ class Strive(BaselinePolicy):
         self.decoder = FastDecoder(self.prior.traffic.decoder)
 
     def search(self, task: SearchTask) -> SearchResult:
-        """Return the futures of the latents that lower the loss most within the rounds."""
+        """Return the futures of the latents after all rounds of the search."""
         start = self._start(task)
-        result = self._rounds(task, start) if self.options.rounds else _nothing(start, task.memory.surrogate)
+        result = (
+            self._search_rounds(task, start)
+            if self.options.rounds
+            else _natural_result(start, task.memory.surrogate)
+        )
         with torch.no_grad():
             rollout = self._decode(start, result.epsilon, result.forced)
         attackers = self._attackers(task, start, rollout, result.share)
@@ -126,10 +133,12 @@ class Strive(BaselinePolicy):
         return SearchResult(drawn, memory, result.losses)
 
     def loss(self, start: _Start, epsilon: Tensor, forced: Forced | None) -> Terms:
-        """Return the loss of standardised latents (A, Z) while the target drives *forced*."""
+        """Return the loss of standardised latents *epsilon* (A, Z) if the target drives *forced*."""
         rollout = self._decode(start, epsilon, forced, HORIZON_STEPS)
         latents = epsilon, start.natural
-        return strive_loss(rollout, start.batch, start.moved, start.may, latents, self.options, start.edges)
+        return strive_loss(
+            rollout, start.batch, start.moved, start.may_attack, latents, self.options, start.edges
+        )
 
     def _start(self, task: SearchTask) -> _Start:
         batch = task.view.batch.to(self.prior.device)
@@ -138,27 +147,27 @@ class Strive(BaselinePolicy):
         share, generator = self.options.persistence, torch.Generator().manual_seed(task.seed)
         fresh = torch.randn(context.prior.mean.shape[1:], generator=generator)
         noise = self.options.temperature * fresh
-        old, known = _stacked(task, task.memory.natural, noise)
-        mixed = share * old + (1.0 - share**2) ** 0.5 * noise
+        previous, known = _rows_of_view(task, task.memory.natural, noise)
+        mixed = share * previous + (1.0 - share**2) ** 0.5 * noise
         natural = torch.where(known[:, None], mixed, noise).to(self.prior.device)
-        shifts, known = _stacked(task, task.memory.searched, noise)
-        gained = torch.where(known[:, None], share * (shifts - old), 0.0).to(self.prior.device)
+        searched, known = _rows_of_view(task, task.memory.searched, noise)
+        change = torch.where(known[:, None], share * (searched - previous), 0.0).to(self.prior.device)
         moved = torch.from_numpy(task.view.moved).to(self.prior.device)
-        start = _Start(batch, context, RoadEdges.of(batch), moved, moved, natural, natural + gained)
-        return replace(start, may=self._may(task, start).to(moved.device))
+        start = _Start(batch, context, RoadEdges.of(batch), moved, moved, natural, natural + change)
+        return replace(start, may_attack=self._may_attack(task, start).to(moved.device))
 
     @torch.no_grad()
-    def _may(self, task: SearchTask, start: _Start) -> Tensor:
-        """Return (A,) who may attack under the licence, as everybody drives by nature."""
+    def _may_attack(self, task: SearchTask, start: _Start) -> Tensor:
+        """Return (A,) which vehicles may attack under the licence, by their natural futures."""
         futures = futures_of(task.view.now, self._decode(start, start.natural, None))
         return torch.from_numpy(can_attack(futures, task.view.moved, self.options.licence))
 
-    def _rounds(self, task: SearchTask, start: _Start) -> _Result:
+    def _search_rounds(self, task: SearchTask, start: _Start) -> _Result:
         options, answer = self.options, self.ask(task)
         surrogate = task.memory.surrogate if answer is None else answer.memory
-        if not start.may.any():
-            return _nothing(start, surrogate)
-        epsilon, adam, forced = start.warm, Adam(options.rate), None
+        if not start.may_attack.any():
+            return _natural_result(start, surrogate)
+        epsilon, adam, forced = start.warm_start, Adam(options.rate), None
         losses, share = [], np.zeros(len(start.moved))
         for number in range(options.rounds):
             if number % options.refresh == 0:
@@ -187,20 +196,20 @@ class Strive(BaselinePolicy):
     def _attackers(
         self, task: SearchTask, start: _Start, rollout: Rollout, share: FloatArray
     ) -> tuple[str, ...]:
-        """Return who is most of the attacker, among those who may attack and come near the target at all."""
+        """Return the ids with the largest shares in the attack, among vehicles that may attack and come near enough."""
         near = closest_m(futures_of(task.view.now, rollout)) < FARTHEST_M
-        score = np.where(start.may.cpu().numpy() & near, share, 0.0)
+        score = np.where(start.may_attack.cpu().numpy() & near, share, 0.0)
         order = np.argsort(-score, kind="stable")[: self.options.attackers]
         return tuple(task.view.ids[row] for row in order.tolist() if score[row] > 0.0)
 
 
-def _nothing(start: _Start, surrogate: Any) -> _Result:
-    """Return natural traffic, for no rounds at all and where nobody may attack."""
+def _natural_result(start: _Start, surrogate: Any) -> _Result:
+    """Return natural traffic, the result without rounds or without a vehicle that may attack."""
     return _Result(start.natural, None, surrogate, (), np.zeros(len(start.moved)))
 
 
-def _stacked(task: SearchTask, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the rows (A, Z) that *by_name* has for the view, 0 elsewhere, and which it has."""
+def _rows_of_view(task: SearchTask, by_name: Mapping[str, FloatArray], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the values (A, Z) of *by_name* for the agents of the view, 0 where missing, and which are known (A,)."""
     rows, known = torch.zeros_like(like), torch.zeros(len(like), dtype=torch.bool)
     for row, name in enumerate(task.view.ids):
         if name in by_name:

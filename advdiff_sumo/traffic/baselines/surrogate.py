@@ -1,7 +1,7 @@
-"""What a baseline expects of the target: a planner that drives it through the imagined future of the others.
+"""Predicts the target's reaction for the baselines: a surrogate planner drives it among planned futures.
 
-The tested planner itself is not at hand while they plan; AdvDiffuser gives its baselines the lane-graph
-planner as surrogate (Sec. IV-C), and so is the default here.
+The tested planner itself is not available while a baseline plans. AdvDiffuser gives its baselines the lane-graph
+planner as surrogate (Sec. IV-C), which is also the default here.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ SURROGATES = Registry(
     group="advdiff_sumo.planners",
     builtins={"lane_graph": "advdiff_sumo.planners.lane_graph:LaneGraphPlanner"},
 )
-"""Planners that can stand for the target; by name, as nothing here may import planners."""
+"""Planners that can represent the target; by name, as ``traffic`` must not import planners."""
 MODEL = "model"
 _DRIVEN_STEPS = 2
-"""Model steps of a surrogate's plan that are driven before it is asked again."""
+"""Model steps of a surrogate's plan that are driven before it plans again."""
 
 
 class Surrogate(Protocol):
@@ -49,12 +49,12 @@ class Surrogate(Protocol):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a surrogate does in the real scene, whatever the others are going to do.
+    """The surrogate's plan in the real scene, before it reacts to planned futures.
 
     Attributes:
-        states: (K, 4) x, y, yaw and speed at the model steps that are driven of its plan, world frame.
-        memory: of the surrogate afterwards.
-        rng: its random numbers, as it left them.
+        states: (K, 4) x, y, yaw and speed at the driven model steps of its plan, world frame.
+        memory: memory of the surrogate afterwards.
+        rng: its random generator afterwards.
     """
 
     states: FloatArray
@@ -63,7 +63,7 @@ class Answer:
 
 
 def make_surrogate(name: str) -> Surrogate | None:
-    """Return the planner *name*; None for "model".
+    """Return the planner called *name*; None for "model".
 
     Raises:
         UnknownNameError: there is none of that name.
@@ -81,14 +81,14 @@ def make_surrogate(name: str) -> Surrogate | None:
 
 
 def ask(road: RoadMap, planner: Surrogate, view: View, memory: Any, seed: int) -> Answer:
-    """Return what *planner* does now; all futures that are imagined of one scene begin with it.
+    """Return the plan of *planner* in the present scene, with which all its reactions in this scene begin.
 
     Args:
         road: the map.
         planner: drives the target.
-        view: the scene; its agents are all that the planner sees.
-        memory: of the planner.
-        seed: of the planner's random numbers.
+        view: the scene; the planner sees its agents only.
+        memory: memory of the planner.
+        seed: seed of the planner's random numbers.
     """
     rng = np.random.default_rng(seed)
     scene = _scene(road, view, view.now)
@@ -96,69 +96,69 @@ def ask(road: RoadMap, planner: Surrogate, view: View, memory: Any, seed: int) -
     return Answer(states_of(plan, scene)[:_DRIVEN_STEPS], memory, rng)
 
 
-def imagine(
+def drive_surrogate(
     road: RoadMap, planner: Surrogate, view: View, futures: Futures, answer: Answer, steps: int
 ) -> FloatArray:
-    """Let *planner* drive the target for *steps* model steps while the others do what *futures* says.
+    """Let *planner* drive the target for *steps* model steps while the others drive *futures*.
 
     Args:
         road: the map.
         planner: drives the target.
         view: the scene.
-        futures: of the view's agents, the target's row is not read.
-        answer: what it does now.
-        steps: at most those of *futures*.
+        futures: futures of the view's agents; the target's row is not read.
+        answer: the planner's plan in the present scene.
+        steps: number of steps, at most those of *futures*.
 
     Returns:
         (steps, 4) x, y, yaw and speed at model steps, world frame.
     """
-    own, memory, rng = answer.states, answer.memory, deepcopy(answer.rng)
-    while len(own) < steps:
-        scene = _scene(road, view, _history(view, futures, own))
+    states, memory, rng = answer.states, answer.memory, deepcopy(answer.rng)
+    while len(states) < steps:
+        scene = _scene(road, view, _history(view, futures, states))
         plan, memory = planner.plan(road, scene.copied(), memory, rng)
-        own = np.concatenate((own, states_of(plan, scene)[:_DRIVEN_STEPS]))
-    return own[:steps]
+        states = np.concatenate((states, states_of(plan, scene)[:_DRIVEN_STEPS]))
+    return states[:steps]
 
 
 def states_of(plan: Plan, scene: Scene) -> FloatArray:
-    """Return (K, 4) the states that *plan* has at model steps, K at least 1.
+    """Return the states (K, 4) of *plan* at model steps; K is at least 1.
 
     Raises:
-        ConfigError: it ends before the first.
+        ConfigError: the plan ends before the first model step.
     """
     now = scene.history.rows([scene.target])
-    here = now.xy_m[0, -1], now.yaw_rad[0, -1], now.speed_mps[0, -1]
+    present = now.xy_m[0, -1], now.yaw_rad[0, -1], now.speed_mps[0, -1]
     if isinstance(plan, Controls):
         curvature = np.tan(plan.steer_rad) / wheelbase_m(float(now.size_m[0, 0]))
-        xy, yaw, speed = rollout(*here, plan.accel_mps2, curvature, plan.dt_s)
+        xy, yaw, speed = rollout(*present, plan.accel_mps2, curvature, plan.dt_s)
     else:
         xy, yaw, speed = plan.xy_m, plan.yaw_rad, plan.speed_mps
-    columns = np.column_stack((xy, np.unwrap(np.append(here[1], yaw))[1:], speed))
-    columns = np.vstack((np.array([*here[0], here[1], here[2]]), columns))
-    known = plan.dt_s * np.arange(len(columns))
-    wanted = MODEL_STEP_S * np.arange(1, int(known[-1] / MODEL_STEP_S + 1e-6) + 1)
-    if not len(wanted):
+    columns = np.column_stack((xy, np.unwrap(np.append(present[1], yaw))[1:], speed))
+    columns = np.vstack((np.array([*present[0], present[1], present[2]]), columns))
+    plan_time = plan.dt_s * np.arange(len(columns))
+    model_time = MODEL_STEP_S * np.arange(1, int(plan_time[-1] / MODEL_STEP_S + 1e-6) + 1)
+    if not len(model_time):
         raise ConfigError(
-            f"the surrogate's plan lasts {known[-1]:g} s; it must last {MODEL_STEP_S:g} s at least"
+            f"the surrogate's plan lasts {plan_time[-1]:g} s; it must last {MODEL_STEP_S:g} s at least"
         )
-    return np.column_stack([np.interp(wanted, known, column) for column in columns.T])
+    return np.column_stack([np.interp(model_time, plan_time, column) for column in columns.T])
 
 
-def _history(view: View, futures: Futures, own: FloatArray) -> Tracks:
-    """Return everybody's past after ``len(own)`` model steps, in which the target has driven *own* (K, 4)."""
-    k, now = len(own), view.now
+def _history(view: View, futures: Futures, states: FloatArray) -> Tracks:
+    """Return the history K model steps from now, in which the target has driven *states* (K, 4)."""
+    k, now = len(states), view.now
 
-    def last(past: FloatArray, future: FloatArray, mine: FloatArray) -> FloatArray:
-        ahead = future[:, 1 : k + 1].copy()
-        ahead[0] = mine
-        return np.concatenate((past, ahead), axis=1)[:, -HISTORY_STEPS:]
+    def latest(past: FloatArray, future: FloatArray, target: FloatArray) -> FloatArray:
+        driven = future[:, 1 : k + 1].copy()
+        driven[0] = target
+        return np.concatenate((past, driven), axis=1)[:, -HISTORY_STEPS:]
 
     valid = np.concatenate((now.valid, np.ones((now.agents, k), dtype=np.bool_)), axis=1)[:, -HISTORY_STEPS:]
     return replace(
         now,
-        xy_m=last(now.xy_m, futures.xy_m, own[:, :2]),
-        yaw_rad=last(now.yaw_rad, futures.yaw_rad, own[:, 2]),
-        speed_mps=last(now.speed_mps, futures.speed_mps, own[:, 3]),
+        xy_m=latest(now.xy_m, futures.xy_m, states[:, :2]),
+        yaw_rad=latest(now.yaw_rad, futures.yaw_rad, states[:, 2]),
+        speed_mps=latest(now.speed_mps, futures.speed_mps, states[:, 3]),
         valid=valid,
         t0_s=now.t0_s + k * now.dt_s,
     )
@@ -167,12 +167,12 @@ def _history(view: View, futures: Futures, own: FloatArray) -> Tracks:
 def _scene(road: RoadMap, view: View, history: Tracks) -> Scene:
     """Return the scene of *view* at the end of *history*."""
     routes = [view.scene.routes[row] for row in view.rows.tolist()]
-    routes[0] = _ahead(road, history, routes[0])
+    routes[0] = _route_ahead(road, history, routes[0])
     return Scene(history, 0, view.moved, tuple(routes), view.scene.signals)
 
 
-def _ahead(road: RoadMap, history: Tracks, route: Sequence[str]) -> tuple[str, ...]:
-    """Return *route* of the target from the edge that it is on; all of it where it is on none of its edges."""
+def _route_ahead(road: RoadMap, history: Tracks, route: Sequence[str]) -> tuple[str, ...]:
+    """Return the target's *route* from its present edge on; all of it if that edge is not on it."""
     lane = road.locate_many(history.xy_m[:1, -1], history.yaw_rad[:1, -1])[0][0]
     edge = road.lanes[lane].edge_id if lane is not None else None
     return tuple(route[route.index(edge) :]) if edge in route else tuple(route)

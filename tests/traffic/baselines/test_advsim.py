@@ -17,12 +17,12 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.advsim import AdvSim
-from advdiff_sumo.traffic.baselines.advsim_actions import Initial, driven, initial_of, tightest_curvature
+from advdiff_sumo.traffic.baselines.advsim_actions import Initial, drive, initial_of, tightest_curvature
 from advdiff_sumo.traffic.baselines.advsim_cost import (
     attack_cost,
     discomfort,
     ground_of,
-    keeps,
+    keeps_constraints,
     violation,
 )
 from advdiff_sumo.traffic.baselines.baseline_options import AdvSimOptions
@@ -49,7 +49,7 @@ def test_a_change_by_hand() -> None:
     """Asked to brake by 6 m/s² more, it may take 5 m/s² in the first half second and all in the second."""
     changes = torch.zeros(1, 1, 2, 2)
     changes[..., 0] = -1.0
-    made = driven(changes, begun(20.0, 1.0), OPTIONS, MODEL)
+    made = drive(changes, begun(20.0, 1.0), OPTIONS, MODEL)
     assert made.accel[0, 0].tolist() == [-4.0, -5.0, 0.0, 1.0, 1.0, 1.0]
     assert float(made.speed[0, 0, 1]) == pytest.approx(20.0 - 2.0 - 2.5)
 
@@ -58,7 +58,7 @@ def test_a_bend_by_hand() -> None:
     """At 10 m/s 6 m/s² sideways are 0.06/m; a change of 8 m/s³ sideways allows 0.04/m each half second."""
     changes = torch.zeros(1, 1, 3, 2)
     changes[..., 1] = 1.0
-    made = driven(changes, begun(10.0), AdvSimOptions(steer_share=1.0), MODEL)
+    made = drive(changes, begun(10.0), AdvSimOptions(steer_share=1.0), MODEL)
     assert made.curvature[0, 0, :4].tolist() == pytest.approx([0.04, 0.06, 0.06, 0.02])
 
 
@@ -68,7 +68,7 @@ def test_no_change_is_the_initial_sequence(downtown: RoadMap, street: Street, we
     with torch.no_grad():
         rollout = policy.driver(view.batch)
     rows = torch.tensor([1, 2])
-    made = driven(torch.zeros(1, 2, 8, 2), initial_of(rollout, view.batch, rows), OPTIONS, policy.model)
+    made = drive(torch.zeros(1, 2, 8, 2), initial_of(rollout, view.batch, rows), OPTIONS, policy.model)
     assert torch.equal(made.accel[0], rollout.accel[0, rows])
     assert torch.allclose(made.states()[0], rollout.states()[0, rows], atol=1e-4)
 
@@ -91,7 +91,7 @@ def test_bounds_hold_whatever_is_asked_for(seed: int, speed: float, accel: float
     first = begun(speed, accel)
     curvature = turn * float(largest_curvature(torch.tensor(speed), torch.tensor(4.6)))
     initial = begun(speed, accel, curvature)
-    made = driven(changes, initial, OPTIONS, MODEL)
+    made = drive(changes, initial, OPTIONS, MODEL)
     assert bool((made.accel >= -MODEL.brake_mps2).all() and (made.accel <= MODEL.accel_mps2).all())
     before = torch.cat((first.pose[None, :, 3:].expand(5, 1, 1), made.speed[..., :-1]), dim=2)
     limit = largest_curvature(before, torch.tensor([4.6])[None, :, None])
@@ -115,7 +115,7 @@ def test_costs_by_hand(downtown: RoadMap, street: Street) -> None:
     ahead = torch.tensor([torch.cos(states[0, 0, 0, 2]), torch.sin(states[0, 0, 0, 2])])
     inside = Rollout(own.xy + 6.4 * ahead, own.yaw, own.speed, own.accel, own.curvature)
     assert float(violation(inside, ground)) == pytest.approx(1.0, abs=1e-3)
-    assert not keeps(float(violation(inside, ground)), ground)
+    assert not keeps_constraints(float(violation(inside, ground)), ground)
 
 
 def test_discomfort_by_hand() -> None:
@@ -164,8 +164,10 @@ def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, str
         rollout = policy.driver(view.batch)
         case = policy._case(SearchTask(downtown, view, first, 4), view.batch, rollout)
     assert case is not None
-    warm = policy._warm(case).numpy()[0]
+    warm = policy._previous_changes(case).numpy()[0]
     np.testing.assert_allclose(warm, np.vstack((old[1:], np.zeros((1, 2)))), atol=1e-6)
     made = replace(view.now, t0_s=view.scene.time_s - 0.5)  # a plan of a second ago
-    warm = policy._warm(replace(case, task=replace(case.task, memory=replace(first, plan=made)))).numpy()[0]
+    warm = policy._previous_changes(
+        replace(case, task=replace(case.task, memory=replace(first, plan=made)))
+    ).numpy()[0]
     np.testing.assert_allclose(warm, np.vstack((old[2:], np.zeros((2, 2)))), atol=1e-6)

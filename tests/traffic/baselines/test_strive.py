@@ -18,7 +18,7 @@ from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
 from advdiff_sumo.traffic.baselines.baseline_options import StriveOptions
 from advdiff_sumo.traffic.baselines.baseline_policy import SearchTask, halves
 from advdiff_sumo.traffic.baselines.strive import Strive
-from advdiff_sumo.traffic.baselines.strive_loss import attack, strive_loss
+from advdiff_sumo.traffic.baselines.strive_loss import adversarial_term, strive_loss
 
 Street = Callable[..., Scene]
 PLACES = [(60.0, 0.0), (78.0, 0.0), (42.0, 0.0), (95.0, 0.0)]
@@ -34,14 +34,14 @@ def standing(*x: float) -> Rollout:
 
 def test_the_soft_choice_by_hand() -> None:
     """Distances 3 and 5 at both instants: δ is a softmin over all four."""
-    loss, share = attack(standing(0.0, 3.0, -5.0), torch.tensor([False, True, True]))
+    loss, share = adversarial_term(standing(0.0, 3.0, -5.0), torch.tensor([False, True, True]))
     near = np.exp(-3.0) / (2.0 * (np.exp(-3.0) + np.exp(-5.0)))
     assert share.tolist() == pytest.approx([0.0, 2.0 * near, 1.0 - 2.0 * near], abs=1e-5)
     assert float(loss) == pytest.approx(2.0 * near * 9.0 + (1.0 - 2.0 * near) * 25.0, rel=1e-5)
 
 
 def test_who_is_not_moved_is_not_chosen() -> None:
-    loss, share = attack(standing(0.0, 3.0, -5.0), torch.tensor([False, False, True]))
+    loss, share = adversarial_term(standing(0.0, 3.0, -5.0), torch.tensor([False, False, True]))
     assert share.tolist() == [0.0, 0.0, 1.0]
     assert float(loss) == pytest.approx(25.0)
 
@@ -119,7 +119,7 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     assert found.losses[-1] < found.losses[0]
     start = policy._start(task)
     with torch.no_grad():
-        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
+        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm_start, None))
         moved = found.memory.searched
         epsilon = torch.from_numpy(np.stack([moved[name] for name in task.view.ids])).float()
         before, after = (policy.loss(start, e, forced) for e in (start.natural, epsilon))
@@ -137,12 +137,12 @@ def test_the_target_drives_what_the_surrogate_answered(
     task = SearchTask(downtown, look(downtown, scene), memory, 1)
     start = policy._start(task)
     with torch.no_grad():
-        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm, None))
+        forced = policy.react(task, policy.ask(task), policy._decode(start, start.warm_start, None))
         assert forced is not None
-        epsilon = start.warm + 0.5
+        epsilon = start.warm_start + 0.5
         rollout = policy._decode(start, epsilon, forced, 8)
         assert torch.equal(rollout.states()[0, 0], forced.states[0, 0, :8])
-        given = rollout, start.batch, start.moved, start.may, (epsilon, start.natural), policy.options
+        given = rollout, start.batch, start.moved, start.may_attack, (epsilon, start.natural), policy.options
         assert torch.equal(strive_loss(*given).total, policy.loss(start, epsilon, forced).total)
 
 
@@ -165,7 +165,7 @@ def test_the_next_search_starts_where_the_last_one_ended(
     first = policy.search(SearchTask(downtown, view, memory, 1)).memory
     begun = policy._start(SearchTask(downtown, view, first, 2))
     wanted = np.stack([0.5 * first.searched[name] for name in view.ids])
-    np.testing.assert_allclose(begun.warm.numpy(), wanted, atol=1e-6)
+    np.testing.assert_allclose(begun.warm_start.numpy(), wanted, atol=1e-6)
     assert not begun.natural.any()
 
 

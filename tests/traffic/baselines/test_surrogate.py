@@ -12,7 +12,7 @@ from advdiff_sumo.core.plan import Controls, Trajectory
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.baselines.surrogate import ask, imagine, make_surrogate, states_of
+from advdiff_sumo.traffic.baselines.surrogate import ask, drive_surrogate, make_surrogate, states_of
 from advdiff_sumo.traffic.planning.futures import coasting
 
 Street = Callable[..., Scene]
@@ -59,7 +59,7 @@ def test_it_reacts_to_what_the_others_are_going_to_do(downtown: RoadMap, street:
         memory = planner.start(downtown, scene, np.random.default_rng(0))
         answer = ask(downtown, planner, view, memory, 0)
         assert answer.memory is not None
-        made.append(imagine(downtown, planner, view, futures, answer, 8))
+        made.append(drive_surrogate(downtown, planner, view, futures, answer, 8))
     free, braked = (np.linalg.norm(x[-1, :2] - now.xy_m[0, -1]) for x in made)
     assert free > 25.0
     assert braked < 20.0 - 4.6 + 0.1

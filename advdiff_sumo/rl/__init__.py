@@ -1,7 +1,6 @@
-"""Reinforcement learning on the episode: from the attacker's seat (with PPO on it) and from the tested vehicle's.
+"""Gymnasium environments of the episode: one for the attacker, with training by PPO, and one for the target.
 
-Importing this package registers ``advdiff_sumo/Adversary-v0`` and ``advdiff_sumo/Target-v0``, as Gymnasium's
-environments do; nothing else happens.
+Importing this package only registers ``advdiff_sumo/Adversary-v0`` and ``advdiff_sumo/Target-v0`` with Gymnasium.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What an attacker is paid for half a second: R = R_adv − P_coll (the paper, Sec. III-C), comfort and alignment.
+"""The attacker's reward for half a second: R = R_adv − P_coll (the paper, Sec. III-C), comfort and alignment.
 
-R_adv pays for a collision with the target and, so that there is something to follow before the first one, for
-nearness (as AdvSim does, Wang et al. 2021, doi:10.1109/CVPR46437.2021.00978). P_coll asks for collisions with others
-and for leaving the road. A Gaussian policy of fixed deviation σ that differs from the behaviour model's by δ
-in its mean is |δ|² / 2 σ² away in the sense of Kullback and Leibler; ``align`` asks for that.
+R_adv rewards a collision with the target. It also rewards nearness, to guide learning before the first collision (as
+AdvSim does, Wang et al. 2021, doi:10.1109/CVPR46437.2021.00978). P_coll penalises collisions with others and leaving
+the road. A Gaussian policy with fixed standard deviation σ whose mean differs from the behaviour model's by δ has a
+Kullback-Leibler divergence of |δ|² / 2 σ² from it; ``align`` penalises that.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from advdiff_sumo.sim.world import Frame
 
 TOUCH_M = 0.05
 """Boxes nearer than this touch."""
-_JERK_MPS3, _MOST_JERK = 10.0, 4.0
+_JERK_MPS3, _MAX_JERK_TERM = 10.0, 4.0
+"""Unit of jerk, and largest squared jerk in that unit that counts."""
 
 
 @dataclass(frozen=True)
 class DecisionInterval:
-    """Half a second of an episode, less where it ends within, as the reward needs it; n + 1 instants, N road users.
+    """Half a second of an episode, or less at its end, with n + 1 instants and N road users.
 
     Attributes:
-        frames: the instants, the first is that of the decision.
+        frames: the instants, from the decision on.
         size_m: (N, 2) length and width.
-        attacker: its row; None where nobody attacked.
+        attacker: row of the attacker; None without one.
         target: row of the target.
-        collided: the target's collision ended the episode here.
-        accel_mps2: the attacker's acceleration in the half second before; None where it was not there: no jerk counts.
+        collided: whether the target's collision ended the episode.
+        accel_mps2: the attacker's acceleration in the half second before; None if it was absent, then no jerk counts.
         residual: (2,) its deviation from the behaviour model, in [−1, 1].
         dt_s: spacing of the instants.
     """
@@ -49,93 +50,93 @@ class DecisionInterval:
     dt_s: float
 
 
-def reward_terms(half: DecisionInterval, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
-    """Return the terms by name; their sum is the reward. Where nobody attacked, only a collision counts."""
-    attacker = half.attacker
-    if attacker is None or not _there(half.frames, attacker):
-        return {"hit": weights.hit_by_other * half.collided}
-    gaps = _gaps(half, attacker)  # (n + 1, N)
-    room = max(float(np.nanmin(gaps[:, half.target])), 0.0)
-    by_it = half.collided and room < TOUCH_M
-    jerk = _jerk(half, attacker)
+def reward_terms(interval: DecisionInterval, weights: RewardWeights, road: RoadMap) -> dict[str, float]:
+    """Return the terms by name; their sum is the reward. Without an attacker only a collision counts."""
+    attacker = interval.attacker
+    if attacker is None or not _is_present(interval.frames, attacker):
+        return {"hit": weights.hit_by_other * interval.collided}
+    gaps = _gaps(interval, attacker)  # (n + 1, N)
+    gap = max(float(np.nanmin(gaps[:, interval.target])), 0.0)
+    by_attacker = interval.collided and gap < TOUCH_M
+    jerk = _jerk(interval, attacker)
     return {
-        "hit": weights.hit if by_it else weights.hit_by_other * half.collided,
-        "near": weights.near * float(np.exp(-room / weights.near_m)),
-        "touch": -weights.touch * float(_touches_another(gaps, half, attacker)),
-        "off_road": -weights.off_road * _off_road(half, attacker, road),
-        "jerk": -weights.jerk * min((jerk / _JERK_MPS3) ** 2, _MOST_JERK),
-        "align": -weights.align * float((half.residual**2).sum()),
+        "hit": weights.hit if by_attacker else weights.hit_by_other * interval.collided,
+        "near": weights.near * float(np.exp(-gap / weights.near_m)),
+        "touch": -weights.touch * float(_touches_another(gaps, interval, attacker)),
+        "off_road": -weights.off_road * _off_road(interval, attacker, road),
+        "jerk": -weights.jerk * min((jerk / _JERK_MPS3) ** 2, _MAX_JERK_TERM),
+        "align": -weights.align * float((interval.residual**2).sum()),
     }
 
 
-def hit_by_attacker(half: DecisionInterval) -> bool:
-    """Return whether the target's collision in this interval is with the attacker."""
-    attacker = half.attacker
-    if not half.collided or attacker is None or not _there(half.frames, attacker):
+def hit_by_attacker(interval: DecisionInterval) -> bool:
+    """Return whether the target collided with the attacker in this interval."""
+    attacker = interval.attacker
+    if not interval.collided or attacker is None or not _is_present(interval.frames, attacker):
         return False
-    return bool(np.nanmin(_gaps(half, attacker)[:, half.target]) < TOUCH_M)
+    return bool(np.nanmin(_gaps(interval, attacker)[:, interval.target]) < TOUCH_M)
 
 
 def accel_before(past: Sequence[Frame], row: int, step_s: float) -> float | None:
-    """Return the acceleration of *row* in m/s² from one to the next of two instants; None where it was not there.
+    """Return the acceleration of *row* in m/s² between two instants; None if it was absent.
 
     Args:
-        past: the instants of the last decision and of this one; fewer where nothing is known of the time before.
-        row: whose.
-        step_s: between them.
+        past: the instants of the previous decision and of this one; fewer at the beginning.
+        row: row of the road user.
+        step_s: time between them.
     """
-    if len(past) < 2 or not _there(past, row):
+    if len(past) < 2 or not _is_present(past, row):
         return None
     return float(past[1].speed_mps[row] - past[0].speed_mps[row]) / step_s
 
 
-def mean_accel(half: DecisionInterval, row: int) -> float:
-    """Return the mean acceleration of *row* in the half second."""
-    first, last = half.frames[0].speed_mps[row], half.frames[-1].speed_mps[row]
-    return float((last - first) / _span_s(half))
+def mean_accel(interval: DecisionInterval, row: int) -> float:
+    """Return the mean acceleration of *row* in the interval in m/s²."""
+    first, last = interval.frames[0].speed_mps[row], interval.frames[-1].speed_mps[row]
+    return float((last - first) / _duration_s(interval))
 
 
-def _jerk(half: DecisionInterval, row: int) -> float:
-    """Return the jerk of *row* in m/s³, 0 where it was not there before, or the half second has one instant alone.
+def _jerk(interval: DecisionInterval, row: int) -> float:
+    """Return the jerk of *row* in m/s³; 0 if it was absent before, or if the interval has one instant only.
 
-    It has where the target leaves the net in the first of its steps.
+    An interval has one instant if the target leaves the net in its first simulation step.
     """
-    if half.accel_mps2 is None or len(half.frames) < 2:
+    if interval.accel_mps2 is None or len(interval.frames) < 2:
         return 0.0
-    return (mean_accel(half, row) - half.accel_mps2) / _span_s(half)
+    return (mean_accel(interval, row) - interval.accel_mps2) / _duration_s(interval)
 
 
-def _span_s(half: DecisionInterval) -> float:
-    return half.dt_s * max(len(half.frames) - 1, 1)
+def _duration_s(interval: DecisionInterval) -> float:
+    return interval.dt_s * max(len(interval.frames) - 1, 1)
 
 
-def _there(frames: Sequence[Frame], row: int) -> bool:
-    """Return whether *row* is there at every instant."""
-    return all(row < len(f.yaw_rad) and np.isfinite(f.yaw_rad[row]) for f in frames)
+def _is_present(frames: Sequence[Frame], row: int) -> bool:
+    """Return whether *row* is present at every instant."""
+    return all(row < len(frame.yaw_rad) and np.isfinite(frame.yaw_rad[row]) for frame in frames)
 
 
-def _gaps(half: DecisionInterval, row: int) -> FloatArray:
-    """Return the room (n + 1, N) between the attacker's box and everybody's; NaN for absent ones and itself."""
-    out = np.full((len(half.frames), len(half.size_m)), np.nan)
-    box = 0.5 * half.size_m
-    for k, frame in enumerate(half.frames):
+def _gaps(interval: DecisionInterval, row: int) -> FloatArray:
+    """Return the gaps (n + 1, N) from the box of *row* to all others; NaN for absent ones and itself."""
+    gaps = np.full((len(interval.frames), len(interval.size_m)), np.nan)
+    half_sizes = 0.5 * interval.size_m
+    for k, frame in enumerate(interval.frames):
         count = len(frame.yaw_rad)
-        own = np.full(count, frame.yaw_rad[row])
+        yaw = np.full(count, frame.yaw_rad[row])
         offset = frame.xy_m - frame.xy_m[row]
-        mine = np.broadcast_to(box[row], (count, 2))
-        out[k, :count] = axis_gaps(offset, own, mine, frame.yaw_rad, box[:count])[0].max(-1)
-    out[:, row] = np.nan
-    return out
+        own_half = np.broadcast_to(half_sizes[row], (count, 2))
+        gaps[k, :count] = axis_gaps(offset, yaw, own_half, frame.yaw_rad, half_sizes[:count])[0].max(-1)
+    gaps[:, row] = np.nan
+    return gaps
 
 
-def _touches_another(gaps: FloatArray, half: DecisionInterval, row: int) -> bool:
-    """Return whether the attacker comes to touch anybody but the target, whom it did not touch before."""
+def _touches_another(gaps: FloatArray, interval: DecisionInterval, row: int) -> bool:
+    """Return whether the attacker begins to touch a road user other than the target."""
     touching: BoolArray = gaps < TOUCH_M  # NaN compares as False
-    touching[:, [half.target, row]] = False
+    touching[:, [interval.target, row]] = False
     return bool((touching[1:].any(axis=0) & ~touching[0]).any())
 
 
-def _off_road(half: DecisionInterval, row: int, road: RoadMap) -> float:
-    frame = half.frames[-1]
-    box = corners(frame.xy_m[row], frame.yaw_rad[row], half.size_m[row])
+def _off_road(interval: DecisionInterval, row: int, road: RoadMap) -> float:
+    frame = interval.frames[-1]
+    box = corners(frame.xy_m[row], frame.yaw_rad[row], interval.size_m[row])
     return float(road.off_road_share(box[None])[0])

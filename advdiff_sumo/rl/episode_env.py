@@ -1,4 +1,4 @@
-"""What the environments of both seats share: spaces, the episode that is running, its beginning and its end."""
+"""Base class of both environments: spaces, the running episode, its beginning and its end."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from advdiff_sumo.sim.episode_loop import Loop
 
 Observation = NDArray[np.float32]
 OVER = (EndReason.HORIZON, EndReason.LOG_END)
-"""Ends at which the time is up: an episode is truncated there."""
+"""End reasons for which an episode is truncated, as its time is up."""
 _TRIES = 5
+"""Episodes tried until SUMO can start one."""
 
 
 class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
     """One episode at a time as a Gymnasium environment; a step is one model step of 0.5 s of the real episode loop.
 
-    libsumo holds one simulation in a process: vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
+    libsumo runs one simulation per process. So vectorise over processes (``gymnasium.vector.AsyncVectorEnv``,
     ``SubprocVecEnv``), and close an environment before another one of the same process is reset.
 
     Args:
-        observed: numbers of an observation, each within ± *limit*.
-        limit: the largest of them.
-        actions: numbers of an action, each within ± 1.
+        observed: number of features of an observation, each within ± *limit*.
+        limit: bound of the features.
+        actions: number of values of an action, each within ± 1.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
@@ -48,8 +49,8 @@ class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
         """Return the next episode."""
 
     @abstractmethod
-    def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
-        """Return what is seen at the beginning of an episode, and its ``info``."""
+    def _first_observation(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
+        """Return the first observation of an episode, and its ``info``."""
 
     @one_thread()
     def reset(
@@ -58,41 +59,41 @@ class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
         seed: int | None = None,
         options: dict[str, Any] | None = None,  # noqa: ARG002 - Gymnasium's interface
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin another episode; the same seed, the same episode.
+        """Begin another episode; the same seed gives the same episode.
 
         Raises:
             SceneError: the traffic never has a usable target.
-            EpisodeFailure: SUMO starts none of several scenes.
+            EpisodeFailure: SUMO could start none of several scenes.
             SimulationError: another simulation is running in this process.
         """
         super().reset(seed=seed)
-        return self._first(self._begin())
+        return self._first_observation(self._begin())
 
     def _begin(self) -> Loop:
-        """Return the loop of an episode that SUMO could start; a few that it could not are passed over."""
+        """Return the loop of the first episode that SUMO can start, of a few tries."""
         self.close()
-        for left in reversed(range(_TRIES)):
+        for tries_left in reversed(range(_TRIES)):
             try:
                 self._loop = self._open.enter_context(self._draw().opened())
                 self._loop.start()
                 break
             except EpisodeFailure:
                 self.close()
-                if not left:
+                if not tries_left:
                     raise
         return self.loop
 
     def _advance(self) -> EndReason:
-        """Let half a second pass, and return why the episode is over, or the horizon's word where it is not."""
+        """Simulate half a second, and return why the episode ended; the horizon's reason if it has not."""
         loop = self.loop
         return loop.run(min(loop.steps + loop.sim.substeps, loop.episode.steps))
 
     @property
     def loop(self) -> Loop:
-        """The episode that is running.
+        """The loop of the running episode.
 
         Raises:
-            RuntimeError: there is none.
+            RuntimeError: no episode is running.
         """
         if self._loop is None:
             raise RuntimeError("reset the environment before its first step and after an episode's end")
@@ -103,5 +104,5 @@ class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
         self._open.close()
         self._loop = None
 
-    def _blank(self) -> Observation:
+    def _zero_observation(self) -> Observation:
         return np.zeros(self.observation_space.shape or (), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Options of the environment and of the training."""
+"""Options of the attacker's environment and of its training."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from advdiff_sumo.traffic.rl.prior import PriorName
 
 
 class RewardWeights(Options):
-    """Weights of the reward's terms, all counted per model step of 0.5 s; see ``rl.adversary_reward``.
+    """Weights of the reward's terms, per model step of 0.5 s; see ``rl.adversary_reward``.
 
     Attributes:
         hit: the attacker and the target collide.
-        hit_by_other: the target collides with somebody else.
-        near: nearness to the target, 1 at contact, 1/e at ``near_m``.
-        near_m: length of that nearness.
-        touch: the attacker collides with another road user than the target.
+        hit_by_other: the target collides with another road user.
+        near: nearness to the target: 1 at contact, 1/e at ``near_m``.
+        near_m: gap to the target at which nearness is 1/e.
+        touch: the attacker collides with a road user other than the target.
         off_road: share of the attacker's box off the road.
         jerk: squared jerk in units of 10 m/s³, at most 4.
         align: squared deviation from the behaviour model's action.
@@ -39,14 +39,14 @@ class AdversaryOptions(Options):
     """Options of ``advdiff_sumo/Adversary-v0``.
 
     Attributes:
-        nets: each episode is on one of them.
-        targets: each episode is against one of them.
-        scenes: different seed scenes on each net; they are made when they are first drawn, and kept.
-        scene_seed: what those scenes come from.
-        horizon_s: longest episode.
-        prior: the behaviour model: "simnet", or "traffic" for the traffic model at its prior's mean.
+        nets: nets, one of which is drawn for each episode.
+        targets: targets, one of which is drawn for each episode.
+        scenes: number of seed scenes on each net; they are made when they are first drawn, and kept.
+        scene_seed: seed of those scenes.
+        horizon_s: longest duration of an episode.
+        prior: the behaviour model: "simnet", or "traffic": the traffic model at its prior's mean.
         prior_weights: its networks; empty: the shipped ones.
-        reward: weights of its terms.
+        reward: weights of the reward's terms.
         scene: how seed scenes are found.
     """
 
@@ -62,20 +62,20 @@ class AdversaryOptions(Options):
 
 
 class PpoOptions(Options):
-    """Hyper-parameters of PPO (Schulman et al. 2017, arXiv:1707.06347), in the words of stable-baselines3.
+    """Hyper-parameters of PPO (Schulman et al. 2017, arXiv:1707.06347), named as in stable-baselines3.
 
     Attributes:
-        learning_rate: of Adam.
-        n_steps: steps between two updates, of each environment.
+        learning_rate: learning rate of Adam.
+        n_steps: steps of each environment between two updates.
         batch_size: steps in a minibatch.
         n_epochs: passes over the collected steps.
         gamma: discount per step of 0.5 s.
-        gae_lambda: of the advantage estimate.
-        clip_range: of the probability ratio.
+        gae_lambda: λ of the generalised advantage estimate.
+        clip_range: range to which the probability ratio is clipped.
         ent_coef: weight of the entropy.
-        target_kl: an update ends when the policy has moved so far.
-        log_std: logarithm of the exploration's deviation at the start, in units of the action.
-        hidden: widths of the actor's layers, and of the critic's.
+        target_kl: Kullback-Leibler divergence from the previous policy at which an update ends.
+        log_std: initial logarithm of the exploration's standard deviation, in units of the action.
+        hidden: widths of the hidden layers of actor and critic.
     """
 
     learning_rate: float = Field(3e-4, gt=0.0)
@@ -92,7 +92,7 @@ class PpoOptions(Options):
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
-        """Refuse minibatches that do not divide what is collected."""
+        """Refuse a batch size that does not divide the collected steps."""
         if self.n_steps % self.batch_size:
             raise ValueError(f"n_steps = {self.n_steps} is no multiple of batch_size = {self.batch_size}")
         return self

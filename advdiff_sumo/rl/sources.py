@@ -1,4 +1,4 @@
-"""Where the environment's episodes begin, and what drives the tested vehicle in them."""
+"""Draws the episodes of the attacker's environment: seed scenes and targets."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from advdiff_sumo.traffic.rl.prior import load_prior
 
 
 def check(options: AdversaryOptions) -> None:
-    """Look at names and files that *options* give, without reading a net or starting anything.
+    """Check the names and files in *options* without reading a net or starting a process.
 
     Raises:
-        InputError: a net, a target or the behaviour model is not there or cannot be used.
+        InputError: a net, a target or the behaviour model is missing or unusable.
     """
     for net in options.nets:
         find_net(net)
@@ -31,7 +31,7 @@ def check(options: AdversaryOptions) -> None:
 
 
 class StretchCache:
-    """Seed scenes of *run* by number; a stretch of traffic is simulated when one of its scenes is first asked for."""
+    """Seed scenes of *run* by number; a stretch of traffic is simulated when one of its scenes is first needed."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -43,15 +43,15 @@ class StretchCache:
         Raises:
             SceneError: the traffic never has a usable target.
         """
-        stretch, place = divmod(number, self._run.options.scene.scenes_per_warmup)
+        stretch, index = divmod(number, self._run.options.scene.scenes_per_warmup)
         if stretch not in self._stretches:
             self._stretches[stretch] = self._run.scene_batch(stretch)
         scenes = self._stretches[stretch]
-        return scenes[place % len(scenes)]
+        return scenes[index % len(scenes)]
 
 
 class Sources:
-    """Every net and target of an environment; nets are read at once, scenes when they are drawn.
+    """All nets and targets of an environment; nets are read at once, scenes when they are drawn.
 
     Raises:
         InputError: a net or target cannot be used.
@@ -59,10 +59,10 @@ class Sources:
 
     def __init__(self, options: AdversaryOptions) -> None:
         self._options = options
-        self._runs = [[self._prepared(net, target) for target in options.targets] for net in options.nets]
+        self._runs = [[self._prepare(net, target) for target in options.targets] for net in options.nets]
         self._scenes = [StretchCache(runs[0]) for runs in self._runs]
 
-    def _prepared(self, net: str, target: str) -> Run:
+    def _prepare(self, net: str, target: str) -> Run:
         options = self._options
         return Run.prepare(
             RunOptions(
@@ -77,7 +77,7 @@ class Sources:
     def draw(self, policy: TrafficPolicy, rng: np.random.Generator) -> Episode:
         """Return an episode with *policy* in the background.
 
-        No simulation may be running: a scene that is drawn for the first time is made by one.
+        No other simulation may be running, as one is needed to make a scene drawn for the first time.
 
         Raises:
             SceneError: the traffic never has a usable target.

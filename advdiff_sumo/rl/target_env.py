@@ -1,4 +1,4 @@
-"""The episode as a Gymnasium environment, seen from the tested vehicle's seat."""
+"""The episode as a Gymnasium environment for the tested vehicle."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ from advdiff_sumo.sim.episode_loop import Loop
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.sim_options import SceneOptions
 
-_GONE = 0.5  # share of the box off the road at which the road is left
+_LEFT_ROAD_SHARE = 0.5
+"""The target has left the road if more than this share of its box is off it."""
 
 
 class TargetRewards(Options):
-    """Weights of the reward, counted per step of 0.5 s.
+    """Weights of the reward's terms, per step of 0.5 s.
 
     Attributes:
-        progress: a metre of way; metres beyond what the lane's speed limit allows are not paid.
-        collision: one with anybody; it ends the episode.
-        off_road: the share of the box off the road.
-        leaving: more than half the box off the road; it ends the episode.
+        progress: metres driven, at most what the lane's speed limit allows.
+        collision: a collision with any road user; it ends the episode.
+        off_road: share of the box off the road.
+        leaving: more than half the box is off the road; it ends the episode.
         effort: squared action.
     """
 
@@ -51,14 +52,14 @@ class TargetOptions(Options):
     """Options of ``advdiff_sumo/Target-v0``.
 
     Attributes:
-        net: where; as of ``--net``.
-        background: what moves the others, lawful or reckless; as of ``--background``.
-        background_options: of that policy.
-        action: "controls" (acceleration, steering) or "trajectory" (speed and step to the side of four half seconds).
-        scenes: different seed scenes; they are made when they are first drawn, and kept.
-        scene_seed: what those scenes come from.
-        horizon_s: longest episode.
-        reward: weights of its terms.
+        net: the net, as in ``--net``.
+        background: the background policy, lawful or reckless, as in ``--background``.
+        background_options: options of that policy.
+        action: "controls" (acceleration, steering) or "trajectory" (speed and lateral step for four half seconds).
+        scenes: number of seed scenes; they are made when they are first drawn, and kept.
+        scene_seed: seed of those scenes.
+        horizon_s: longest duration of an episode.
+        reward: weights of the reward's terms.
         scene: how seed scenes are found.
     """
 
@@ -74,17 +75,17 @@ class TargetOptions(Options):
 
 
 class TargetSeat:
-    """A planner that plans what the environment was told.
+    """A planner that follows the action given to the environment.
 
     Attributes:
-        action: for the coming half second.
+        action: action for the next half second.
     """
 
     def __init__(self, size: int) -> None:
         self.action = np.zeros(size)
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
-        """Remember nothing."""
+        """Return no memory."""
 
     def plan(
         self,
@@ -93,15 +94,15 @@ class TargetSeat:
         memory: None,  # noqa: ARG002 - the contract
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[Plan, None]:
-        """Return the plan that the action asks for."""
+        """Return the plan of the action."""
         return plan_of_action(self.action, scene), None
 
 
 class TargetEnv(EpisodeEnv):
     """The tested vehicle against the background; a step is one model step of 0.5 s of the real episode loop.
 
-    An episode terminates at a collision, off the road and at the route's end, and is truncated at the horizon. ``info``
-    of its last step has ``end``, of every step ``reward_terms``.
+    An episode terminates at a collision, when the target leaves the road, and at the end of its route. It is truncated
+    at the horizon. ``info`` has ``reward_terms`` in every step and ``end`` in the last one.
 
     Args:
         options: fields of :class:`TargetOptions`.
@@ -113,24 +114,24 @@ class TargetEnv(EpisodeEnv):
     @one_thread()
     def __init__(self, **options: Any) -> None:
         self.options = TargetOptions.parse(options, "options of the environment")
-        asked = self.options
-        size = 2 if asked.action == "controls" else 2 * POINTS
+        checked = self.options
+        size = 2 if checked.action == "controls" else 2 * POINTS
         super().__init__(OBSERVED, LIMIT, size)
         self._run = Run.prepare(
             RunOptions(
-                net=asked.net,
-                background=asked.background,
-                background_options=asked.background_options,
-                seed=asked.scene_seed,
-                horizon_s=asked.horizon_s,
-                scene=asked.scene,
+                net=checked.net,
+                background=checked.background,
+                background_options=checked.background_options,
+                seed=checked.scene_seed,
+                horizon_s=checked.horizon_s,
+                scene=checked.scene,
             )
         )
         self._seat = TargetSeat(size)
         self._scenes = StretchCache(self._run)
 
-    def _first(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
-        return self._look(), {"scene": loop.episode.scene.name}
+    def _first_observation(self, loop: Loop) -> tuple[Observation, dict[str, Any]]:
+        return self._observe(), {"scene": loop.episode.scene.name}
 
     def _draw(self) -> Episode:
         number = int(self.np_random.integers(self.options.scenes))
@@ -141,12 +142,12 @@ class TargetEnv(EpisodeEnv):
 
     @one_thread()
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Let half a second pass.
+        """Simulate half a second.
 
-        A failure of SUMO or of the background ends the episode, truncated and unpaid; ``info`` tells it.
+        A failure of SUMO or of the background truncates the episode with reward 0; ``info`` has its message.
 
         Raises:
-            RuntimeError: the environment has not been reset since the last episode's end.
+            RuntimeError: the environment has not been reset since the end of the previous episode.
         """
         loop = self.loop
         self._seat.action = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
@@ -155,38 +156,38 @@ class TargetEnv(EpisodeEnv):
             end = self._advance()
         except EpisodeFailure as error:
             self.close()
-            return self._blank(), 0.0, False, True, {"failure": str(error), "end": "failed"}
-        outside = self._off_road_share(loop)
-        gone = outside > _GONE
-        terms = self._pay(loop, before, outside, end)
-        terminated = end not in OVER or gone
+            return self._zero_observation(), 0.0, False, True, {"failure": str(error), "end": "failed"}
+        off_road_share = self._off_road_share(loop)
+        left_road = off_road_share > _LEFT_ROAD_SHARE
+        terms = self._reward_terms(loop, before, off_road_share, end)
+        terminated = end not in OVER or left_road
         truncated = not terminated and loop.steps >= loop.episode.steps
-        view = self._blank() if terminated else self._look()
+        observed = self._zero_observation() if terminated else self._observe()
         info: dict[str, Any] = {"reward_terms": terms}
         if terminated or truncated:
-            info["end"] = "off_road" if gone and end in OVER else str(end)
+            info["end"] = "off_road" if left_road and end in OVER else str(end)
             self.close()
-        return view, float(sum(terms.values())), terminated, truncated, info
+        return observed, float(sum(terms.values())), terminated, truncated, info
 
-    def _pay(
+    def _reward_terms(
         self, loop: Loop, before_m: NDArray[np.float64], off_road_share: float, end: EndReason
     ) -> dict[str, float]:
-        """Return the reward's terms of the step that has just been made."""
+        """Return the reward's terms for the step just made, which began at *before_m* (2,)."""
         weights, world, row = self.options.reward, loop.world, loop.target
         xy = world.xy_m[row]
-        if not np.isfinite(xy).all():  # arrived, and taken off the road
+        if not np.isfinite(xy).all():  # it has arrived and was removed
             return dict.fromkeys(("progress", "collision", "off_road", "leaving", "effort"), 0.0)
-        way_m = float(np.linalg.norm(xy - before_m)) * float(np.sign(world.speed_mps[row]))
+        driven_m = float(np.linalg.norm(xy - before_m)) * float(np.sign(world.speed_mps[row]))
         return {
-            "progress": weights.progress * min(way_m, self._allowed_m(loop)),
+            "progress": weights.progress * min(driven_m, self._allowed_m(loop)),
             "collision": -weights.collision * float(end is EndReason.COLLISION),
             "off_road": -weights.off_road * off_road_share,
-            "leaving": -weights.leaving * float(off_road_share > _GONE),
+            "leaving": -weights.leaving * float(off_road_share > _LEFT_ROAD_SHARE),
             "effort": -weights.effort * float(np.square(self._seat.action).sum()),
         }
 
     def _off_road_share(self, loop: Loop) -> float:
-        """Return how much of the box is off the road, 0 to 1; 0 for a vehicle that has arrived."""
+        """Return the share of the box off the road, 0 to 1; 0 for a vehicle that has arrived."""
         world, row = loop.world, loop.target
         xy, yaw = world.xy_m[row], world.yaw_rad[row]
         if not np.isfinite(xy).all():
@@ -194,11 +195,11 @@ class TargetEnv(EpisodeEnv):
         return float(loop.road.off_road_share(corners(xy[None], yaw[None], world.size_m[row][None]))[0])
 
     def _allowed_m(self, loop: Loop) -> float:
-        """Return the metres that the speed limit here allows in a step; off every lane they are not bounded."""
+        """Return the metres that the present speed limit allows in a step; inf off every lane."""
         world, row = loop.world, loop.target
         pose = loop.road.locate(world.xy_m[row], float(world.yaw_rad[row]))
         speed_mps = loop.road.lanes[pose.lane_id].speed_mps if pose else np.inf
         return float(speed_mps) * loop.sim.substeps * loop.sim.step_s
 
-    def _look(self) -> Observation:
+    def _observe(self) -> Observation:
         return observation(self.loop.road, self.loop.scene_now()).astype(np.float32)

@@ -1,6 +1,6 @@
-"""Trains an attacker by the PPO of stable-baselines3, begun at the behaviour model.
+"""Trains an attacker by the PPO of stable-baselines3, starting from the behaviour model.
 
-In a folder, resumable, and out comes an actor that needs PyTorch alone.
+The training is kept in a folder and can be resumed. The resulting actor requires only PyTorch.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from advdiff_sumo.training.interrupt import graceful
 STAGE = "adv-rl"
 ACTOR = "actor.safetensors"
 _NEVER = 2**62
+"""Log interval of stable-baselines3 that is never reached."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class PpoTraining:
 
     Attributes:
         out: its folder.
-        steps: steps of all environments together.
-        seed: of everything that is drawn.
+        steps: total steps of all environments.
+        seed: seed of all random numbers.
         adversary: options of the environment.
         ppo: hyper-parameters.
-        workers: environments, each in a process of its own where there are several.
+        workers: number of environments; several run in one process each.
     """
 
     out: Path
@@ -54,19 +55,19 @@ class PpoTraining:
     workers: int = 1
 
     def options(self) -> dict[str, Any]:
-        """Return what has to be the same when the training goes on."""
+        """Return the options that must not change when the training is resumed."""
         return {"adversary": self.adversary.model_dump(mode="json"), "ppo": self.ppo.model_dump(mode="json")}
 
 
 def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.TrainingProgress:
-    """Train, or go on; the folder gets the actor, a checkpoint, metrics.jsonl, curves.png and TensorBoard events.
+    """Start or resume a training; write actor, checkpoint, metrics.jsonl, curves.png and TensorBoard events.
 
-    An update is the unit: what was collected since the last one is lost by an interrupt, and a training that goes on
-    begins new episodes. The same seed gives the same weights as long as it is not interrupted.
+    An interrupt loses what was collected since the last update, and a resumed training begins new episodes. The same
+    seed gives the same weights if the training is not interrupted.
 
     Raises:
         InputError: the options cannot be used, or the folder's checkpoint is another training's.
-        KeyboardInterrupt: the user wants to stop; the last update is saved.
+        KeyboardInterrupt: the user interrupted the training; the last update is saved.
     """
     progress = checkpoint.TrainingProgress(STAGE, plan.options(), data="", seed=plan.seed)
     groups: dict[str, Any] = {}
@@ -106,20 +107,20 @@ def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress,
         write(model, plan, progress)
 
     model.num_timesteps = progress.step
-    with graceful() as wish:
-        watch = Watch(progress.history, save, tell, wish)
-        left = plan.steps - progress.step
-        if left > 0:
-            model.learn(left, callback=watch, log_interval=_NEVER, reset_num_timesteps=False)
+    with graceful() as stop_request:
+        watch = Watch(progress.history, save, tell, stop_request)
+        steps_left = plan.steps - progress.step
+        if steps_left > 0:
+            model.learn(steps_left, callback=watch, log_interval=_NEVER, reset_num_timesteps=False)
     events.close()
     if not progress.history:
         write(model, plan, progress)
-    if wish:
+    if stop_request:
         raise KeyboardInterrupt
 
 
 def write(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress) -> None:
-    """Write checkpoint, actor and curves."""
+    """Write the checkpoint, the actor and the curves."""
     policy = model.policy
     groups = {
         "policy": policy.state_dict(),
@@ -146,18 +147,18 @@ def _notes(plan: PpoTraining, progress: checkpoint.TrainingProgress) -> dict[str
 
 
 def make_envs(options: AdversaryOptions, workers: int) -> VecEnv:
-    """Return *workers* environments: libsumo holds one simulation in a process, so several are several processes."""
+    """Return *workers* environments; several run in one process each, as libsumo runs one simulation per process."""
     values = options.model_dump()
     makers = [_maker(values) for _ in range(workers)]
     if workers == 1:
         return DummyVecEnv(makers)
-    start = worker_context([__name__]).get_start_method()
-    return SubprocVecEnv(makers, start_method=start)
+    start_method = worker_context([__name__]).get_start_method()
+    return SubprocVecEnv(makers, start_method=start_method)
 
 
 def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
     def make() -> gymnasium.Env[Any, Any]:
-        import advdiff_sumo.rl  # noqa: F401 - a new process knows no environment yet
+        import advdiff_sumo.rl  # noqa: F401 - registers the environment in a new process
 
         if multiprocessing.parent_process() is not None:
             ignore_interrupts()
@@ -167,21 +168,23 @@ def _maker(values: dict[str, Any]) -> Callable[[], gymnasium.Env[Any, Any]]:
 
 
 def new_ppo(env: VecEnv, options: PpoOptions, seed: int) -> PPO:
-    """Return PPO whose actor is the behaviour model exactly: its mean deviation is zero everywhere."""
-    sizes = list(options.hidden)
+    """Return a PPO model whose actor is exactly the behaviour model: its mean deviation is zero everywhere."""
+    widths = list(options.hidden)
     model = PPO(
         "MlpPolicy",
         env,
         **options.model_dump(exclude={"log_std", "hidden"}),
         policy_kwargs={
-            "net_arch": {"pi": sizes, "vf": sizes},
+            "net_arch": {"pi": widths, "vf": widths},
             "activation_fn": nn.Tanh,
             "log_std_init": options.log_std,
         },
         seed=seed,
         device="cpu",
     )
-    model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder of temporary files
+    model.set_logger(
+        Logger(folder=None, output_formats=[])
+    )  # the default one leaves a folder of temporary files
     head = model.policy.action_net
     with torch.no_grad():
         for weight in head.parameters():
@@ -190,14 +193,13 @@ def new_ppo(env: VecEnv, options: PpoOptions, seed: int) -> PPO:
 
 
 def actor_net(model: PPO, options: PpoOptions) -> ActorNet:
-    """Return the mean of the policy as a network of our own, which needs PyTorch alone."""
+    """Return the mean of the policy as an :class:`ActorNet`, which requires only PyTorch."""
     net = ActorNet(options.hidden)
     state = model.policy.state_dict()
-    theirs = _part(state, "mlp_extractor.policy_net.")
-    net.body.load_state_dict(theirs)
-    net.head.load_state_dict(_part(state, "action_net."))
+    net.body.load_state_dict(_state_of(state, "mlp_extractor.policy_net."))
+    net.head.load_state_dict(_state_of(state, "action_net."))
     return net.eval().requires_grad_(False)
 
 
-def _part(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _state_of(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): t.clone() for name, t in state.items() if name.startswith(prefix)}

@@ -1,4 +1,4 @@
-"""What is noted while PPO runs: a record for each update, made of the episodes that ended before it."""
+"""Records the progress of PPO: one record per update, from the episodes that ended before it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from advdiff_sumo.training.history import Record
 from advdiff_sumo.training.interrupt import StopRequest
 
 Tell: TypeAlias = Callable[[int, list[Record]], None]
-"""Told of the steps made and the records so far, after every step."""
+"""Function called after every step with the number of steps made and the records so far."""
 _LOSSES = {
     "train/policy_gradient_loss": "policy_loss",
     "train/value_loss": "value_loss",
@@ -23,20 +23,20 @@ _LOSSES = {
 
 
 class Watch(BaseCallback):
-    """Collects records, saves after every update, and stops when asked to.
+    """Collects records, saves after every update, and stops on request.
 
     Args:
-        history: records so far, which it adds to.
+        history: records so far, to which it appends.
         save: called after every update.
-        tell: of the progress.
-        wish: of the user to stop.
+        tell: called with the progress after every step.
+        stop_request: whether the user wants to stop.
     """
 
     def __init__(
-        self, history: list[Record], save: Callable[[], None], tell: Tell, wish: StopRequest
+        self, history: list[Record], save: Callable[[], None], tell: Tell, stop_request: StopRequest
     ) -> None:
         super().__init__()
-        self.history, self._save, self._tell, self._wish = history, save, tell, wish
+        self.history, self._save, self._tell, self._stop_request = history, save, tell, stop_request
         self._episodes: list[dict[str, Any]] = []
         self._terms: list[dict[str, float]] = []
         self._collected = False
@@ -48,24 +48,24 @@ class Watch(BaseCallback):
             if "reward_terms" in info:
                 self._terms.append(info["reward_terms"])
         self._tell(self.num_timesteps, self.history)
-        return not self._wish
+        return not self._stop_request
 
     def _on_rollout_end(self) -> None:
         self._collected = True
 
     def _on_rollout_start(self) -> None:
-        self._note()
+        self._record_update()
 
     def _on_training_end(self) -> None:
-        if not self._wish:  # what was collected of an update that never came is not saved
-            self._note()
+        if not self._stop_request:  # steps collected for an interrupted update are not saved
+            self._record_update()
 
-    def _note(self) -> None:
-        """Record the update that has just been made, if there was one."""
+    def _record_update(self) -> None:
+        """Record and save the latest update, if there was one since the previous record."""
         if not self._collected:
             return
-        known = self.logger.name_to_value
-        figures = {own: float(known[theirs]) for theirs, own in _LOSSES.items() if theirs in known}
+        logged = self.logger.name_to_value
+        figures = {name: float(logged[key]) for key, name in _LOSSES.items() if key in logged}
         for name in ("reward", "steps", "collision", "by_attacker"):
             if self._episodes:
                 figures[name] = fmean(float(episode[name]) for episode in self._episodes)

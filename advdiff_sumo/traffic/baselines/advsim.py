@@ -2,11 +2,10 @@
 
 After Wang, Pun, Tu, Manivasagam, Sadat, Casas, Ren and Urtasun (2021), "AdvSim: Generating Safety-Critical
 Scenarios for Self-Driving Vehicles", doi:10.1109/CVPR46437.2021.00978. Ours differs from the paper: it runs in
-closed loop, each search starts from the previous result, and SimNet's actions are the initial ones (Xie et al. 2024,
-Sec. IV-C);
-CMA-ES replaces the paper's black-box methods; other vehicles do not evade within the search; planners get states;
-plans pass the safeguard. Every ``refresh`` rounds the surrogate reacts to the best candidate, which is kept only if
-it is better than the best one so far.
+closed loop; each search starts from the previous result; SimNet's actions are the initial ones (Xie et al. 2024,
+Sec. IV-C); CMA-ES replaces the paper's black-box methods; other vehicles do not evade within the search; planners get
+states; plans pass the safeguard. Every ``refresh`` rounds the surrogate reacts to the best candidate, which is kept
+only if it is better than the best one so far.
 """
 
 from __future__ import annotations

@@ -112,11 +112,10 @@ class Strive(BaselinePolicy):
     def search(self, task: SearchTask) -> SearchResult:
         """Return the futures of the latents after all rounds of the search."""
         start = self._start(task)
-        result = (
-            self._search_rounds(task, start)
-            if self.options.rounds
-            else _natural_result(start, task.memory.surrogate)
-        )
+        if self.options.rounds:
+            result = self._search_rounds(task, start)
+        else:
+            result = _natural_result(start, task.memory.surrogate)
         with torch.no_grad():
             rollout = self._decode(start, result.epsilon, result.forced)
         attackers = self._attackers(task, start, rollout, result.share)

@@ -1,1 +1,1 @@
-"""The baseline ``adv-rl``: one attacker whose actor starts as the behaviour model and is trained by PPO."""
+"""The baseline ``adv-rl``: an attacker whose actor starts as the behaviour model and is trained by PPO."""

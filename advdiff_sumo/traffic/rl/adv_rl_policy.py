@@ -1,4 +1,4 @@
-"""The background policy ``adv-rl``: everybody drives by the behaviour model, an attacker deviates as PPO taught it."""
+"""The background policy ``adv-rl``: vehicles follow a behaviour model, from which attackers deviate by PPO."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class AdvRlOptions(Options):
     """Options of ``adv-rl``.
 
     Attributes:
-        weights: an actor of ``advdiff-sumo train-rl``; empty: the shipped one.
+        weights: file of an actor of ``advdiff-sumo train-rl``; empty: the shipped one.
         prior_weights: networks of the behaviour model, of the kind that the actor names; empty: the shipped ones.
-        strength: share of the actor's deviation from the behaviour model that is driven; 0 is the behaviour model.
-        attackers: most vehicles that the actor drives at a time; it was trained as one.
-        licence: what attackers may do, as of ``diffusion``: "lawful", "careless", or "reckless", as published.
+        strength: share of the actor's deviation from the behaviour model that is driven; 0: the behaviour model.
+        attackers: largest number of simultaneous attackers; the actor was trained with one.
+        licence: what attackers may do, as in ``diffusion``: "lawful", "careless", or "reckless", as published.
     """
 
     weights: str = ""
@@ -41,18 +41,18 @@ class AdvRlOptions(Options):
     licence: LicenceName = "lawful"
 
     @property
-    def most(self) -> int:
-        """Most attackers at a time; none where they do not deviate, but a licence would refuse plans of theirs."""
+    def max_attackers(self) -> int:
+        """Largest number of attackers; 0 if they would not deviate and a licence might refuse their natural plans."""
         return self.attackers if self.strength > 0.0 or self.licence == "reckless" else 0
 
 
 @dataclass(frozen=True)
 class AdvRlMemory:
-    """What the policy remembers.
+    """Memory of the policy.
 
     Attributes:
-        attackers: names of those who attacked last.
-        plan: the last plan.
+        attackers: ids of the previous attackers.
+        plan: the previous plan.
     """
 
     attackers: tuple[str, ...] = ()
@@ -63,9 +63,9 @@ class AdvRl:
     """Adversarial reinforcement learning (the paper's baseline Adv-RL, Sec. IV); options are :class:`AdvRlOptions`.
 
     Attributes:
-        options: checked.
-        actor: trained by ``advdiff-sumo train-rl``.
-        prior: the behaviour model that it deviates from.
+        options: the checked options.
+        actor: the actor trained by ``advdiff-sumo train-rl``.
+        prior: the behaviour model from which it deviates.
     """
 
     Options: ClassVar[type[AdvRlOptions]] = AdvRlOptions
@@ -84,7 +84,7 @@ class AdvRl:
         self.prior: Prior = load_prior(self.actor.prior, self.options.prior_weights)
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> AdvRlMemory:  # noqa: ARG002 - the contract
-        """Return an empty memory, and let the map make its table of pieces."""
+        """Return an empty memory, after the map has made its table of pieces."""
         _ = road.pieces(self.prior.options.map_view)
         return AdvRlMemory()
 
@@ -96,12 +96,12 @@ class AdvRl:
         memory: AdvRlMemory,
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[JointPlan, AdvRlMemory]:
-        """Return the futures of all movable vehicles, 4 s at 2 Hz; nothing is drawn."""
+        """Return the futures of all movable vehicles, 4 s at 2 Hz, without random numbers."""
         options = self.options
-        now = situation(road, scene, self.prior, options.most, memory.attackers, options.licence)
+        now = situation(road, scene, self.prior, options.max_attackers, memory.attackers, options.licence)
         residuals = options.strength * self.actor.residuals(now.observations)
         plan = joint_plan(road, now, self.prior, residuals, memory.plan, options.licence)
-        plan = plan if options.most else replace(plan, attack=None)
+        plan = plan if options.max_attackers else replace(plan, attack=None)
         return plan, AdvRlMemory(now.attackers, plan.tracks)
 
 

@@ -1,4 +1,4 @@
-"""What an attacker observes: a fixed list of numbers in its own frame (x forward, y left), scaled to about one."""
+"""The observation of an attacker: a fixed list of numbers in its own frame (x forward, y left), scaled to about 1."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from advdiff_sumo.traffic.planning.futures import Futures
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 
 OTHERS: Final = 3
-"""Nearest road users besides the target that are observed."""
+"""Number of nearest road users that are observed besides the target."""
 LIMIT: Final = 5.0
 """Every feature is clipped to ± this."""
 _AHEAD_M = (10.0, 20.0, 30.0)
-_LATER_STEPS = (2, 4, 6)
+"""Distances ahead at which the heading of the lane is observed."""
+_FUTURE_STEPS = (2, 4, 6)
+"""Model steps after which the target's natural position is observed."""
 _OWN, _LANE, _TARGET, _OTHER = 7, 7, 22, 8
+"""Numbers of features of each part."""
 FEATURES: Final = _OWN + _LANE + _TARGET + OTHERS * _OTHER
-"""Numbers of an observation."""
+"""Number of features of an observation."""
 
 
 def observe(
@@ -39,10 +42,10 @@ def observe(
     Args:
         road: the map.
         now: histories of the view, the target first.
-        natural: everybody's future by the behaviour model, from now on.
-        row: the vehicle.
-        lane: the lane that it would follow; None where it is on none.
-        action: acceleration (m/s²) and curvature (1/m) that the behaviour model takes next.
+        natural: all futures by the behaviour model, from now on.
+        row: row of the vehicle.
+        lane: lanes that it would follow; None if it is on none.
+        action: the behaviour model's next acceleration (m/s²) and curvature (1/m).
     """
     parts = (
         _own(now, row, action),
@@ -55,27 +58,35 @@ def observe(
 
 
 def _own(now: Tracks, row: int, action: tuple[float, float]) -> FloatArray:
-    """Return speed, acceleration, yaw rate, size, and what comes next by nature (7)."""
+    """Return speed, acceleration, yaw rate, size, and the natural next accelerations (7)."""
     speed = now.speed_mps[row, -1]
-    accel, turn = _rates(now, row)
+    accel, yaw_rate = _rates(now, row)
     lateral = action[1] * speed**2
     length, width = now.size_m[row]
     return np.array(
-        [0.1 * speed, 0.25 * accel, 2.0 * turn, 0.2 * length, 0.5 * width, 0.25 * action[0], 0.5 * lateral]
+        [
+            0.1 * speed,
+            0.25 * accel,
+            2.0 * yaw_rate,
+            0.2 * length,
+            0.5 * width,
+            0.25 * action[0],
+            0.5 * lateral,
+        ]
     )
 
 
 def _rates(now: Tracks, row: int) -> tuple[float, float]:
-    """Return the last acceleration and yaw rate; 0 where the past is not known."""
+    """Return the acceleration and yaw rate in the step up to now; 0 without a known past."""
     if now.steps < 2 or not now.valid[row, -2]:
         return 0.0, 0.0
     accel = (now.speed_mps[row, -1] - now.speed_mps[row, -2]) / now.dt_s
-    turn = float(wrap_angle(now.yaw_rad[row, -1] - now.yaw_rad[row, -2])) / now.dt_s
-    return float(accel), turn
+    yaw_rate = float(wrap_angle(now.yaw_rad[row, -1] - now.yaw_rad[row, -2])) / now.dt_s
+    return float(accel), yaw_rate
 
 
 def _lane(road: RoadMap, now: Tracks, row: int, lane: LaneAhead | None) -> FloatArray:
-    """Return offset, heading error, the lane's turn ahead, and the room to the road's edge (7)."""
+    """Return presence, offset, heading error, turns of the lane ahead, and distance to the road's edge (7)."""
     xy, yaw = now.xy_m[row, -1], now.yaw_rad[row, -1]
     edge = 0.2 * float(road.drivable_edge_distance(xy[None])[0])
     if lane is None:
@@ -87,34 +98,34 @@ def _lane(road: RoadMap, now: Tracks, row: int, lane: LaneAhead | None) -> Float
 
 
 def _heading(lane: LaneAhead, ahead_m: float) -> float:
-    """Return the heading of the lanes *ahead_m* on; at their end, that of the last one."""
+    """Return the heading of the lanes *ahead_m* farther on, at most at the end of the last one."""
     s = lane.s_m + ahead_m
-    for driven in lane.lanes:
-        if s <= driven.length_m:
-            return float(driven.line.at(s)[1])
-        s -= driven.length_m
+    for part in lane.lanes:
+        if s <= part.length_m:
+            return float(part.line.at(s)[1])
+        s -= part.length_m
     return float(lane.lanes[-1].line.at(lane.lanes[-1].length_m)[1])
 
 
 def _target(now: Tracks, natural: Futures, row: int) -> FloatArray:
-    """Return where the target is, how it moves, and where it would be by nature, seen from *row* (22)."""
-    accel, turn = _rates(now, 0)
+    """Return the target's position, motion, size and natural future relative to *row* (22)."""
+    accel, yaw_rate = _rates(now, 0)
     length, width = now.size_m[0]
     xy, yaw = natural.xy_m, natural.yaw_rad
-    later = [local_from_world(xy[0, k], xy[row, k], yaw[row, k]) for k in _LATER_STEPS]
-    apart = np.linalg.norm(xy[0] - xy[row], axis=-1)
-    closest = int(apart.argmin())
+    future = [local_from_world(xy[0, k], xy[row, k], yaw[row, k]) for k in _FUTURE_STEPS]
+    distance = np.linalg.norm(xy[0] - xy[row], axis=-1)
+    closest = int(distance.argmin())
     return np.array(
         [
             *_relative(natural, row, 0),
-            np.exp(-0.1 * apart[0]),
-            0.1 * gap_m(natural, row, 0),
+            np.exp(-0.1 * distance[0]),
+            0.1 * _gap_m(natural, row, 0),
             0.25 * accel,
-            2.0 * turn,
+            2.0 * yaw_rate,
             0.2 * length,
             0.5 * width,
-            *(0.05 * np.concatenate(later)),
-            0.05 * apart[closest],
+            *(0.05 * np.concatenate(future)),
+            0.05 * distance[closest],
             closest * MODEL_STEP_S / 4.0,
             0.1 * natural.speed_mps[0, 0],
         ]
@@ -122,29 +133,29 @@ def _target(now: Tracks, natural: Futures, row: int) -> FloatArray:
 
 
 def _relative(natural: Futures, row: int, other: int) -> FloatArray:
-    """Return place, heading, relative velocity and presence (7) of *other* as seen from *row*, now."""
+    """Return position, heading, relative velocity and presence (7) of *other* in the frame of *row*, now."""
     yaw = natural.yaw_rad[row, 0]
-    place = local_from_world(natural.xy_m[other, 0], natural.xy_m[row, 0], yaw)
-    moves = natural.speed_mps[other, 0] * unit(natural.yaw_rad[other, 0])
-    moves = moves - natural.speed_mps[row, 0] * unit(yaw)
-    local = local_from_world(moves, np.zeros(2), yaw)
-    turned = natural.yaw_rad[other, 0] - yaw
-    return np.array([*(0.05 * place), np.cos(turned), np.sin(turned), *(0.1 * local), 1.0])
+    position = local_from_world(natural.xy_m[other, 0], natural.xy_m[row, 0], yaw)
+    velocity = natural.speed_mps[other, 0] * unit(natural.yaw_rad[other, 0])
+    velocity = velocity - natural.speed_mps[row, 0] * unit(yaw)
+    local_velocity = local_from_world(velocity, np.zeros(2), yaw)
+    turn = natural.yaw_rad[other, 0] - yaw
+    return np.array([*(0.05 * position), np.cos(turn), np.sin(turn), *(0.1 * local_velocity), 1.0])
 
 
 def _others(natural: Futures, row: int) -> FloatArray:
-    """Return the nearest others, the target left out, nearest first (OTHERS × 8); zero where there are none."""
-    apart = np.linalg.norm(natural.xy_m[:, 0] - natural.xy_m[row, 0], axis=-1)
-    apart[[0, row]] = np.inf
-    out = np.zeros((OTHERS, _OTHER))
-    for place, other in enumerate(np.argsort(apart, kind="stable")[:OTHERS].tolist()):
-        if np.isfinite(apart[other]):
-            out[place] = (*_relative(natural, row, other), 0.2 * natural.size_m[other, 0])
-    return out.ravel()
+    """Return the nearest road users besides the target, nearest first (OTHERS × 8); 0 where there are fewer."""
+    distance = np.linalg.norm(natural.xy_m[:, 0] - natural.xy_m[row, 0], axis=-1)
+    distance[[0, row]] = np.inf
+    features = np.zeros((OTHERS, _OTHER))
+    for rank, other in enumerate(np.argsort(distance, kind="stable")[:OTHERS].tolist()):
+        if np.isfinite(distance[other]):
+            features[rank] = (*_relative(natural, row, other), 0.2 * natural.size_m[other, 0])
+    return features.ravel()
 
 
-def gap_m(natural: Futures, row: int, other: int) -> float:
-    """Return the room between the boxes of two vehicles now: the largest separation along any of their axes."""
+def _gap_m(natural: Futures, row: int, other: int) -> float:
+    """Return the gap between the boxes of two vehicles now: the largest separation along any of their axes."""
     half = 0.5 * natural.size_m
     gaps = axis_gaps(
         natural.xy_m[other, 0] - natural.xy_m[row, 0],

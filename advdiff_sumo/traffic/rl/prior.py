@@ -1,4 +1,4 @@
-"""The behaviour model that everybody drives by, and from which an attacker deviates."""
+"""The behaviour model that moves all vehicles, and from which attackers deviate."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from advdiff_sumo.models.simnet import load_simnet
 
 PriorName: TypeAlias = Literal["simnet", "traffic"]
 PLAN_STEPS = 8
-"""Model steps of a plan: one is driven, the safeguard looks at six, the choice of attackers at all."""
+"""Model steps of a plan: one is driven, the safeguard checks six, and the choice of attackers uses all."""
 
 
 class Prior(Protocol):
-    """Everybody's natural future.
+    """A model of the natural futures of all road users.
 
     Attributes:
-        options: with the bounds of its actions.
+        options: options of the model, with the bounds of its actions.
     """
 
     options: ModelOptions
 
     def rollout(self, batch: SceneBatch) -> Rollout:
-        """Return the futures (B, A, ``PLAN_STEPS``) of all agents; the same for the same scene."""
+        """Return the futures (B, A, ``PLAN_STEPS``) of all agents; deterministic."""
         ...
 
 
 class SimNetPrior:
-    """SimNet: behaviour cloning, one action after the other (the paper's choice)."""
+    """SimNet, a behaviour-cloning model that predicts step by step (the paper's choice)."""
 
     def __init__(self, path: Path) -> None:
         self._net = load_simnet(path).eval().requires_grad_(False)
         self.options = self._net.options
 
     def rollout(self, batch: SceneBatch) -> Rollout:
-        """Return what SimNet would do."""
+        """Return the futures that SimNet predicts."""
         with torch.no_grad():
-            rolled: Rollout = self._net(batch, PLAN_STEPS)
-        return rolled
+            futures: Rollout = self._net(batch, PLAN_STEPS)
+        return futures
 
 
 class TrafficPrior:
@@ -59,7 +59,7 @@ class TrafficPrior:
         self.options = bundle.options.model
 
     def rollout(self, batch: SceneBatch) -> Rollout:
-        """Return what the traffic model finds most likely."""
+        """Return the most likely futures of the traffic model."""
         with torch.no_grad():
             context = self._encoder(batch)
         return self._decoder.whole(context.prior.mean, context.h, batch, PLAN_STEPS)[0]
@@ -68,7 +68,7 @@ class TrafficPrior:
 @lru_cache(maxsize=4)
 @one_thread()
 def load_prior(name: PriorName, weights: str = "") -> Prior:
-    """Return the behaviour model of that kind, from the file *weights* or the shipped ones; read once a process.
+    """Return the behaviour model *name* from the file *weights*, or the shipped ones if empty; read once a process.
 
     Raises:
         WeightsError: the file is missing or unusable.

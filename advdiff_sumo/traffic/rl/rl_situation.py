@@ -1,4 +1,4 @@
-"""What the attacker of a scene is up to: who it is, what everybody would do by nature, what it observes."""
+"""Prepares a scene for ``adv-rl``: natural futures, attackers and their observations; and makes the plan."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from advdiff_sumo.traffic.rl.steer import steered
 
 @dataclass(frozen=True)
 class AttackSituation:
-    """A scene as attackers see it; R of them, none where nobody can reach the target.
+    """A scene with its R attackers; none if no vehicle can reach the target.
 
     Attributes:
-        view: the scene for the networks.
-        lanes: row of the scene → the lanes that the vehicle would follow.
-        natural: everybody's future by the behaviour model; None where nobody is moved.
-        rows: (R,) attackers, rows of the view.
-        observations: (R, F) what each observes.
+        view: the scene as the networks see it.
+        lanes: row of the scene → lanes that the vehicle would follow.
+        natural: all futures by the behaviour model; None if no vehicle is moved.
+        rows: (R,) rows of the attackers in the view.
+        observations: (R, F) observation of each attacker.
     """
 
     view: View
@@ -45,7 +45,7 @@ class AttackSituation:
 
     @property
     def attackers(self) -> tuple[str, ...]:
-        """Names of the attackers."""
+        """Ids of the attackers."""
         return tuple(self.view.ids[row] for row in self.rows.tolist())
 
 
@@ -56,10 +56,10 @@ def situation(
 
     Args:
         road: the map.
-        scene: now.
+        scene: the present scene.
         prior: the behaviour model.
-        count: most attackers.
-        before: who attacked last; they stay where they still can do something.
+        count: largest number of attackers.
+        before: ids of the previous attackers, which are preferred if they still can attack.
         licence: what attackers may do.
     """
     view, lanes = outlook(road, scene, prior.options.map_view)
@@ -67,10 +67,10 @@ def situation(
         return AttackSituation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)
     futures = futures_of(view.now, natural)
-    may = can_attack(futures, view.moved, licence)
-    rows = choose(futures, may, "any", count, np.isin(view.ids, before))
+    candidates = can_attack(futures, view.moved, licence)
+    rows = choose(futures, candidates, "any", count, np.isin(view.ids, before))
     observations = [
-        observe(road, view.now, futures, row, lanes.get(int(view.rows[row])), _actions(natural, row))
+        observe(road, view.now, futures, row, lanes.get(int(view.rows[row])), _next_action(natural, row))
         for row in rows.tolist()
     ]
     return AttackSituation(view, lanes, natural, rows, np.array(observations).reshape(len(rows), FEATURES))
@@ -84,14 +84,14 @@ def joint_plan(
     before: Tracks | None,
     licence: LicenceName,
 ) -> JointPlan:
-    """Return the plan in which attackers deviate, made plausible as every policy's.
+    """Return the plan in which attackers deviate, after licence and safeguard.
 
     Args:
         road: the map.
         now: the situation.
         prior: the behaviour model.
         residuals: (R, 2) deviations in [−1, 1].
-        before: the plan before; who cannot stop in time may go on with it.
+        before: the previous plan, which a vehicle that cannot stop in time may continue.
         licence: what attackers may do.
     """
     if now.natural is None:
@@ -99,10 +99,10 @@ def joint_plan(
     rows = torch.from_numpy(now.rows)
     rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
-    last = before, steps_driven(before, now.view.scene)
-    plan = plausible_plan(road, now.view, now.lanes, drawn, last, Rules(licence, len(now.rows)))
+    previous = before, steps_driven(before, now.view.scene)
+    plan = plausible_plan(road, now.view, now.lanes, drawn, previous, Rules(licence, len(now.rows)))
     return JointPlan(plan.tracks, attack=AttackState("any", plan.attackers), safeguarded=plan.safeguarded)
 
 
-def _actions(natural: Rollout, row: int) -> tuple[float, float]:
+def _next_action(natural: Rollout, row: int) -> tuple[float, float]:
     return float(natural.accel[0, row, 0]), float(natural.curvature[0, row, 0])

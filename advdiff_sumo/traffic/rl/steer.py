@@ -1,4 +1,4 @@
-"""Actions of an attacker: a bounded deviation from what the behaviour model does, through the same bicycle model."""
+"""Applies an attacker's actions: bounded deviations from the behaviour model, through the same bicycle model."""
 
 from __future__ import annotations
 
@@ -15,31 +15,32 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S, ModelOptions
 from advdiff_sumo.models.tensor_bicycle import step
 
 ACCEL_SPAN_MPS2 = 4.0
-"""Deviation of the acceleration that an action of 1 asks for."""
+"""Deviation of acceleration for an action of 1."""
 LATERAL_SPAN_MPS2 = 3.0
-"""Deviation of the lateral acceleration that an action of 1 asks for …"""
+"""Deviation of lateral acceleration for an action of 1 …"""
 CURVATURE_SPAN_1PM = 0.1
-"""… but no more curvature than this, which a slow vehicle would need."""
-_BACK = 0.5
-"""Share of the heading's deviation from the natural plan that is taken back in each later step."""
-_CREEPS_MPS = 1.0
+"""… but a deviation of curvature of no more than this, which matters for slow vehicles."""
+_CORRECTED_SHARE = 0.5
+"""Share of the deviation from the natural heading that is corrected in each later step."""
+_MIN_SPEED_MPS = 1.0
+"""Lowest speed by which accelerations and yaw rates are divided."""
 
 
 def steered(
     natural: Rollout, batch: SceneBatch, rows: Tensor, residuals: Tensor, options: ModelOptions
 ) -> Rollout:
-    """Return *natural* with other futures for *rows*.
+    """Return *natural* with changed futures for *rows*.
 
-    In the first step an agent's acceleration and curvature differ from the natural ones by its residual; afterwards
-    it does again what it would have done, and turns back parallel to that. A residual of zero leaves the plan as it is,
-    to the bit. All actions stay within the limits of *options*.
+    In the first step an agent's acceleration and curvature differ from the natural ones by its residual. Afterwards
+    it takes its natural actions again and turns back to the natural heading. A residual of zero leaves the plan
+    unchanged, bit by bit. All actions stay within the limits of *options*.
 
     Args:
         natural: futures by the behaviour model, one scene.
         batch: the scene.
-        rows: (R,) agents.
-        residuals: (R, 2) for acceleration and curvature (left positive), in [−1, 1].
-        options: with the limits.
+        rows: (R,) rows of the agents.
+        residuals: (R, 2) deviations of acceleration and curvature (left positive), in [−1, 1].
+        options: options of the model, with the limits.
     """
     if not len(rows):
         return natural
@@ -53,36 +54,36 @@ def steered(
             accel = accel + ACCEL_SPAN_MPS2 * deviation[:, 0]
             curvature = curvature + curvature_span(motion[2]) * deviation[:, 1]
         else:
-            curvature = curvature - _way_back(motion[1] - natural.yaw[0, rows, k - 1], motion[2])
-        accel, curvature = _within(accel, curvature, motion[2], length, options)
+            curvature = curvature - _heading_correction(motion[1] - natural.yaw[0, rows, k - 1], motion[2])
+        accel, curvature = _bounded(accel, curvature, motion[2], length, options)
         motion = step(*motion, accel, curvature, MODEL_STEP_S)
         states.append((*motion, accel, curvature))
     columns = [torch.stack(column, dim=1) for column in zip(*states, strict=True)]
-    whole = (natural.xy, natural.yaw, natural.speed, natural.accel, natural.curvature)
-    return Rollout(*(_put(old, rows, new) for old, new in zip(whole, columns, strict=True)))
+    originals = (natural.xy, natural.yaw, natural.speed, natural.accel, natural.curvature)
+    return Rollout(*(_put(old, rows, new) for old, new in zip(originals, columns, strict=True)))
 
 
 def curvature_span(speed: Tensor) -> Tensor:
-    """Return the deviation of curvature, in 1/m, that an action of 1 asks for at *speed* (…,)."""
-    return (LATERAL_SPAN_MPS2 / speed.clamp(min=_CREEPS_MPS) ** 2).clamp(max=CURVATURE_SPAN_1PM)
+    """Return the deviation of curvature in 1/m for an action of 1 at *speed* (…,)."""
+    return (LATERAL_SPAN_MPS2 / speed.clamp(min=_MIN_SPEED_MPS) ** 2).clamp(max=CURVATURE_SPAN_1PM)
 
 
-def _way_back(turned: Tensor, speed: Tensor) -> Tensor:
-    """Return the curvature that takes back a share of a heading's deviation within one step."""
-    return _BACK * wrap_angle(turned) / (speed.clamp(min=_CREEPS_MPS) * MODEL_STEP_S)
+def _heading_correction(deviation: Tensor, speed: Tensor) -> Tensor:
+    """Return the curvature that corrects a share of a heading's *deviation* within one step."""
+    return _CORRECTED_SHARE * wrap_angle(deviation) / (speed.clamp(min=_MIN_SPEED_MPS) * MODEL_STEP_S)
 
 
-def _within(
+def _bounded(
     accel: Tensor, curvature: Tensor, speed: Tensor, length: Tensor, options: ModelOptions
 ) -> tuple[Tensor, Tensor]:
-    """Return both within the bounds that ``models.tensor_bicycle.controls`` keeps by construction."""
-    geometric = math.tan(options.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
-    bound = torch.minimum(geometric, options.lateral_mps2 / speed.clamp(min=0.1) ** 2)
+    """Return both clipped to the bounds that ``models.tensor_bicycle.controls`` keeps by construction."""
+    tightest = math.tan(options.steer_rad) / (WHEELBASE_PER_LENGTH * length.clamp(min=0.5))
+    bound = torch.minimum(tightest, options.lateral_mps2 / speed.clamp(min=0.1) ** 2)
     accel = accel.clamp(-options.brake_mps2, options.accel_mps2)
     return accel, torch.maximum(torch.minimum(curvature, bound), -bound)
 
 
 def _put(old: Tensor, rows: Tensor, new: Tensor) -> Tensor:
-    out = old.clone()
-    out[0, rows] = new
-    return out
+    values = old.clone()
+    values[0, rows] = new
+    return values

@@ -62,7 +62,7 @@ class Seat:
         """Return the plan for the situation observed last."""
         now = self.now
         if now is None or now.view.scene.time_s != scene.time_s:
-            raise RuntimeError("the loop asks for a plan of an instant that nobody has observed")
+            raise RuntimeError("the loop asks for a plan of an instant that was not observed")
         residuals = np.repeat(self.residual[None], len(now.rows), axis=0)
         plan = joint_plan(road, now, self.prior, residuals, self._previous_plan, "reckless")
         self._previous_plan = plan.tracks

@@ -284,7 +284,7 @@ def _previous_plans(plan: Tracks | None, driven: int, view: View, steps: int) ->
 
 
 def _was_slower(history: Tracks, speed_mps: float) -> BoolArray:
-    """Return (A,) who has been present and slower than *speed_mps* for the whole history."""
+    """Return (A,) which vehicles have been present and slower than *speed_mps* for the whole history."""
     return np.asarray((history.valid & (np.abs(history.speed_mps) < speed_mps)).all(axis=1))
 
 

@@ -60,5 +60,5 @@ def _prior(path: str, device: torch.device) -> FrozenPrior:
     if not isinstance(bundle.codec, LatentCodec):
         raise WeightsError(Path(path), "diffuses trajectories, not latents", "give weights of codec latent")
     bundle = bundle.frozen().to(device)
-    assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - checked above, told to the type checker
+    assert isinstance(bundle.codec, LatentCodec)  # noqa: S101 - checked above, for the type checker
     return FrozenPrior(bundle.traffic, bundle.codec, device)

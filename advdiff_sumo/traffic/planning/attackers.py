@@ -79,7 +79,7 @@ def can_attack(futures: Futures, moved: BoolArray, licence: LicenceName) -> Bool
 
 
 def _leads_target(futures: Futures) -> BoolArray:
-    """Return (N,) who drives in the target's direction on its natural path, or on the straight line beyond its end."""
+    """Return (N,) which vehicles drive along the target's natural path, or along the straight line beyond its end."""
     path, yaw = futures.xy_m[0], futures.yaw_rad[0]
     nearest = np.linalg.norm(futures.xy_m[:, :1] - path, axis=-1).argmin(axis=1)
     left = local_from_world(futures.xy_m[:, 0], path[nearest], yaw[nearest])[:, 1]

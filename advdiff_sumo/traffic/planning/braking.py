@@ -3,7 +3,7 @@
 Which vehicle brakes:
 
 1. If two footprints would overlap, the vehicle that has the other one in front of it brakes. If neither or both do,
-   both brake. Thus nobody brakes for a vehicle that approaches from behind.
+   both brake. So no vehicle brakes for one that approaches from behind.
 2. If one of the two stays where it is, the other one brakes, wherever the footprints touch. (The centre of a bus is
    beside a car that hits its front corner.)
 3. If both would wait for each other, one goes (``_resolve_deadlocks``).
@@ -105,7 +105,7 @@ def brake(
         may_brake_for: (N, N) whether the first road user may have to brake for the second.
         stop_m: (N,) distance along the own path that must not be passed; inf: none.
         side_m: (N,) lateral clearance that each keeps and that the others keep to it; None: ``SIDE_M``.
-        must_yield: (N, N) whether the second has the right of way over the first; None: nobody has.
+        must_yield: (N, N) whether the second has the right of way over the first; None: no one has.
     """
     rights = np.zeros_like(may_brake_for) if must_yield is None else must_yield
     sides = np.full(futures.agents, SIDE_M) if side_m is None else side_m
@@ -253,7 +253,7 @@ def _passes(futures: Futures, first: IntArray, second: IntArray, clearance_m: Fl
 def _clearances(
     futures: Futures, first: IntArray, second: IntArray, side_m: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the clearance (P, 2) to keep in each pair, at most what there is now, and (P,) who overlaps now."""
+    """Return the clearance (P, 2) to keep in each pair, at most the present one, and (P,) whether they overlap now."""
     present = _Boxes.at_present(futures)
     first_boxes, second_boxes = present.rows(first), present.rows(second)
     side = np.maximum(side_m[first], side_m[second])

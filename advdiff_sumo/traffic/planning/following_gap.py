@@ -21,7 +21,7 @@ OWN_BRAKE_MPS2 = 7.0
 """Deceleration with which the follower must be able to stop, from the next plan on."""
 _SAME_DIRECTION_COS = 0.7
 _SHORTEST_PATH_M = 0.1
-"""A plan that moves less than this along both axes reaches nobody."""
+"""A plan that moves less than this along both axes is not checked."""
 _BRAKING_STEPS = 2
 """Instants for which the follower brakes; afterwards it keeps its speed until it is planned anew."""
 

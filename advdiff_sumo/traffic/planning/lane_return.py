@@ -50,19 +50,19 @@ def return_to_lanes(road: RoadMap, scene: Scene, duration_s: float, plans: Track
 
 def _safeguard_input(road: RoadMap, scene: Scene) -> SafeguardInput:
     """Return the input of the safeguard, without knowledge of the past."""
-    now, nobody = scene.history, np.zeros(scene.history.agents, dtype=np.bool_)
+    now, none = scene.history, np.zeros(scene.history.agents, dtype=np.bool_)
     xy, yaw = now.xy_m[:, -1], now.yaw_rad[:, -1]
     lanes = lanes_ahead(road, xy, yaw, scene.routes)
     for row in np.flatnonzero(scene.movable).tolist():
         lanes[row] = lanes[row] or way_out(road, xy[row], float(yaw[row]))
     return SafeguardInput(
         is_planned=scene.movable,
-        is_attacker=nobody,
+        is_attacker=none,
         target=scene.target,
         is_motor=np.isin(now.classes, MOTOR_CLASSES),
         is_unprotected=np.isin(now.classes, PEOPLE),
-        has_stood=nobody,
-        has_crept=nobody,
+        has_stood=none,
+        has_crept=none,
         limit_share=np.where(scene.movable, NATURAL_OVER_LIMIT, 1.0),
         lanes=lanes,
         signals=scene.signals,

@@ -63,7 +63,7 @@ def in_a_row(lines: Lines) -> Row:
 
 
 def segments(lines: Lines, row: Row, s_m: FloatArray) -> IntArray:
-    """Return the segments (…, V) of the lines at arc lengths *s_m* (…, V), clamped to their ends."""
+    """Return the segments (…, V) of the lines at arc lengths *s_m* (…, V); beyond its ends, a line's end segments."""
     segment = row.s_m.searchsorted(np.maximum(s_m, 0.0) + row.begin_m, side="right") - 1
     return np.minimum(segment, lines.last)
 

@@ -71,7 +71,7 @@ class SafeguardInput:
         target: row of the target.
         is_motor: (N,) whether it is a motor vehicle.
         is_unprotected: (N,) whether it is a pedestrian or on a bicycle, which others give more room.
-        has_stood: (N,) whether it has stood for its whole history.
+        has_stood: (N,) whether it has stood for its whole history; without a plan it is predicted to stand.
         has_crept: (N,) whether it has been no faster than walking pace for its whole history.
         limit_share: (N,) highest share of the speed limit.
         lanes: lanes to follow, for each; None without one, or where it is not needed.
@@ -150,7 +150,7 @@ def safeguard(road: RoadMap, futures: Futures, inputs: SafeguardInput) -> Safegu
 
 
 def _blocks_junction(futures: Futures, inputs: SafeguardInput) -> BoolArray:
-    """Return (N,) who has crept or stood on a junction for its whole history, or plans to stop on one.
+    """Return (N,) which vehicles have crept on a junction for their whole history, or plan to stop on one.
 
     An attacker counts only if it has crept there and plans to stay.
     """
@@ -162,7 +162,7 @@ def _blocks_junction(futures: Futures, inputs: SafeguardInput) -> BoolArray:
 
 
 def _on_junction(lanes: Sequence[LaneAhead | None], driven_m: FloatArray) -> BoolArray:
-    """Return (N,) who is on a junction, or before the beginning of its lane, *driven_m* (N,) farther along it."""
+    """Return (N,) which vehicles are on a junction, or before their lane's beginning, *driven_m* (N,) from now."""
     on_junction = np.zeros(len(lanes), dtype=np.bool_)
     for row, lane in enumerate(lanes):
         if lane is not None:

@@ -1,4 +1,4 @@
-"""An environment on a shipped net that is quick to reset, with small untrained networks."""
+"""Options of an environment on a shipped net that resets fast, with small untrained networks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def settings(weights: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module", autouse=True)
 def own_generators() -> Iterator[None]:
-    """Leave PyTorch's random numbers as they were: stable-baselines3 seeds them."""
+    """Restore PyTorch's random generator, which stable-baselines3 seeds."""
     state = torch.get_rng_state()
     yield
     torch.set_rng_state(state)

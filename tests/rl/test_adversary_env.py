@@ -1,4 +1,4 @@
-"""The environment: what Gymnasium and stable-baselines3 check, and that it is the real episode."""
+"""The attacker's environment: the checkers of Gymnasium and stable-baselines3, and equality with real episodes."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def test_it_passes_the_checkers(env: AdversaryEnv) -> None:
         check_for_training(env)
 
 
-def test_its_name_works_without_an_import(settings: dict[str, Any]) -> None:
-    """Gymnasium imports what stands before the colon; importing the package itself registers nothing."""
+def test_its_name_can_be_used_without_an_import(settings: dict[str, Any]) -> None:
+    """Gymnasium imports the module before the colon; importing ``advdiff_sumo`` itself registers nothing."""
     made = gymnasium.make(f"advdiff_sumo.rl:{ENVIRONMENT}", **settings)
     assert isinstance(made.unwrapped, AdversaryEnv)
     made.close()
@@ -59,17 +59,17 @@ def walk(env: AdversaryEnv, seed: int, action: np.ndarray) -> list[tuple[bytes, 
     return out
 
 
-def test_the_same_seed_is_the_same_episode(env: AdversaryEnv) -> None:
+def test_the_same_seed_gives_the_same_episode(env: AdversaryEnv) -> None:
     push = np.array([0.5, -0.3], dtype=np.float32)
     first = walk(env, 7, push)
     assert first == walk(env, 7, push)
     assert first != walk(env, 7, IDLE)
 
 
-def test_an_idle_attacker_is_the_untrained_policy(
+def test_an_attacker_without_actions_equals_the_untrained_policy(
     env: AdversaryEnv, settings: dict[str, Any], tmp_path: Path
 ) -> None:
-    """An episode with the action zero throughout is, to the byte, one of background adv-rl at strength 0."""
+    """An episode with action zero throughout equals, byte by byte, one of background adv-rl at strength 0."""
     env.reset(seed=3)
     loop = env.loop
     for number in range(6):
@@ -94,8 +94,8 @@ def test_an_idle_attacker_is_the_untrained_policy(
     assert len(timing.background_plans_s) == 6
 
 
-def test_a_step_is_paid_for_what_passed_in_it(env: AdversaryEnv) -> None:
-    """An episode that ends two tenths of a second into its fifth step: three instants, the first its decision's."""
+def test_the_reward_of_a_step_is_for_its_own_instants(env: AdversaryEnv) -> None:
+    """An episode that ends 0.2 s into its fifth step: three instants, from that of the decision on."""
     env.reset(seed=3)
     loop = env.loop
     loop.episode = replace(loop.episode, horizon_s=2.2)
@@ -131,7 +131,7 @@ def test_a_step_is_paid_for_what_passed_in_it(env: AdversaryEnv) -> None:
 
 
 def test_jerk_is_counted_from_the_first_step_on(env: AdversaryEnv) -> None:
-    """In the first step, too, it is against what the same vehicle did before, in the seed scene's past."""
+    """In the first step it is relative to the same vehicle's acceleration in the past of the seed scene."""
     env.reset(seed=3)
     loop = env.loop
     for _ in range(4):
@@ -145,7 +145,7 @@ def test_jerk_is_counted_from_the_first_step_on(env: AdversaryEnv) -> None:
         assert info["reward_terms"]["jerk"] == pytest.approx(expected)
 
 
-def test_an_episode_is_stepped_only_while_it_runs(env: AdversaryEnv, settings: dict[str, Any]) -> None:
+def test_step_is_refused_without_a_running_episode(env: AdversaryEnv, settings: dict[str, Any]) -> None:
     env.close()
     with pytest.raises(RuntimeError, match="reset the environment"):
         env.step(IDLE)

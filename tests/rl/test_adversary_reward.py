@@ -1,4 +1,4 @@
-"""The reward of half a second, worked out by hand."""
+"""The reward of half a second, worked by hand."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def place(road: RoadMap) -> tuple[np.ndarray, float]:
 
 
 def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any) -> DecisionInterval:
-    """Return vehicles of 4 × 2 m on one line; *ahead* has their places at each instant, the target first."""
+    """Return vehicles of 4 × 2 m on one line; *ahead* has their positions at each instant, the target first."""
     xy, yaw = place
     way = np.array((np.cos(yaw), np.sin(yaw)))
     speeds = more.pop("speeds", np.zeros((len(ahead), len(ahead[0]))))
@@ -61,13 +61,13 @@ def half(place: tuple[np.ndarray, float], ahead: list[list[float]], **more: Any)
     return DecisionInterval(frames, np.tile([4.0, 2.0], (len(ahead[0]), 1)), **{**given, **more})
 
 
-def test_who_was_not_driven_on_did_not_jerk(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
-    """The target left the net in the first step: of the half second there is the instant before it alone."""
+def test_an_interval_of_one_instant_has_no_jerk(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """The target left the net in the first simulation step: only the instant before it is left."""
     terms = reward_terms(half(place, [[12.0, 0.0]], accel_mps2=-5.0), WEIGHTS, road)
     assert terms["jerk"] == 0.0
 
 
-def test_jerk_is_that_of_one_vehicle(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+def test_jerk_is_that_of_the_attacker(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
     """From 10 to 11 m/s in the half second before, 2 m/s², and to 12.5 m/s in this one, 3 m/s²: 2 m/s³, 0.04 units.
 
     The third was not there before.
@@ -85,34 +85,34 @@ def test_jerk_is_that_of_one_vehicle(road: RoadMap, place: tuple[np.ndarray, flo
     assert reward_terms(new, WEIGHTS, road)["jerk"] == 0.0
 
 
-def test_nearness_is_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
-    """Centres 12, 9 and 10 m apart: boxes 5 m at the nearest, 1/e of the weight."""
+def test_nearness_is_that_of_the_nearest_instant(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """Centres 12, 9 and 10 m apart: the smallest gap of the boxes is 5 m, 1/e of the weight."""
     terms = reward_terms(half(place, [[12.0, 0.0], [9.0, 0.0], [10.0, 0.0]]), WEIGHTS, road)
     assert terms == pytest.approx(
         {"hit": 0.0, "near": 0.2 / np.e, "touch": 0.0, "off_road": 0.0, "jerk": 0.0, "align": 0.0}
     )
 
 
-def test_who_was_hit_does_not_depend_on_what_it_is_worth(place: tuple[np.ndarray, float]) -> None:
+def test_a_hit_by_the_attacker_does_not_depend_on_the_weights(place: tuple[np.ndarray, float]) -> None:
     assert hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True))
     assert not hit_by_attacker(half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True))
     assert not hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=False))
     assert not hit_by_attacker(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True, attacker=None))
 
 
-def test_a_hit_counts_most_for_who_hit(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+def test_a_collision_with_the_attacker_counts_most(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
     struck = reward_terms(half(place, [[6.0, 0.0], [4.0, 0.0]], collided=True), WEIGHTS, road)
     assert struck["hit"] == 10.0
     assert struck["near"] == pytest.approx(0.2)
     another = reward_terms(half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True), WEIGHTS, road)
     assert another["hit"] == 3.0
-    nobody = half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True, attacker=None)
-    assert reward_terms(nobody, WEIGHTS, road) == {"hit": 3.0}
+    no_attacker = half(place, [[6.0, 0.0], [5.0, 0.0]], collided=True, attacker=None)
+    assert reward_terms(no_attacker, WEIGHTS, road) == {"hit": 3.0}
     gone = half(place, [[6.0, 0.0], [5.0, np.nan]], collided=False)
     assert reward_terms(gone, WEIGHTS, road) == {"hit": 0.0}
 
 
-def test_touching_another_costs_once_and_only_when_it_begins(
+def test_touching_another_road_user_costs_only_when_it_begins(
     road: RoadMap, place: tuple[np.ndarray, float]
 ) -> None:
     begins = half(place, [[40.0, 0.0, 5.0], [40.0, 1.0, 5.0], [40.0, 1.5, 5.0]])
@@ -121,8 +121,8 @@ def test_touching_another_costs_once_and_only_when_it_begins(
     assert reward_terms(lasts, WEIGHTS, road)["touch"] == 0.0
 
 
-def test_the_road_comfort_and_alignment_cost(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
-    """From 10 to 11 m/s in 0.2 s is 5 m/s², after 1 m/s² a jerk of 20 m/s³: four units, the most there is."""
+def test_costs_of_leaving_the_road_jerk_and_deviation(road: RoadMap, place: tuple[np.ndarray, float]) -> None:
+    """From 10 to 11 m/s in 0.2 s is 5 m/s², after 1 m/s² a jerk of 20 m/s³: four units, the upper bound."""
     made = half(
         place,
         [[40.0, 0.0], [40.0, 1.0], [40.0, 2.0]],

@@ -1,4 +1,4 @@
-"""PPO: where it begins, that it learns, that its actor leaves it whole, and that a training goes on."""
+"""PPO: its start, that it learns, that its actor equals its policy, and that a training can be resumed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WISH = np.array([0.6, -0.4])
 
 
 class Toy(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Eight steps that pay for being near to one action."""
+    """Eight steps that reward actions near a certain action."""
 
     def __init__(self) -> None:
         self.observation_space = gymnasium.spaces.Box(-LIMIT, LIMIT, (FEATURES,), np.float32)
@@ -50,21 +50,21 @@ def learnt(steps: int) -> np.ndarray:
         return np.asarray(actor_net(model, QUICK)(torch.ones(FEATURES)))
 
 
-def test_it_begins_at_the_behaviour_model() -> None:
+def test_it_starts_at_the_behaviour_model() -> None:
     model = new_ppo(DummyVecEnv([Toy]), QUICK, seed=1)
     seen = np.random.default_rng(0).normal(size=(7, FEATURES)).astype(np.float32)
     assert not model.predict(seen, deterministic=True)[0].any()
     assert model.policy.log_std.tolist() == [-1.0, -1.0]
 
 
-def test_it_raises_the_reward() -> None:
-    """What the actor does comes at least twice as near to what is paid best as it was at its start."""
+def test_it_increases_the_reward() -> None:
+    """The actor's action ends at most half as far from the best action as at the start."""
     after = learnt(1280)
     assert np.linalg.norm(after - WISH) < 0.5 * np.linalg.norm(WISH)
     assert learnt(256).tobytes() == learnt(256).tobytes()
 
 
-def test_the_actor_says_what_the_policy_said() -> None:
+def test_the_actor_equals_the_policy() -> None:
     model = new_ppo(DummyVecEnv([Toy]), QUICK, seed=2)
     model.learn(128, log_interval=None)
     seen = np.random.default_rng(0).normal(size=(9, FEATURES)).astype(np.float32)
@@ -80,7 +80,7 @@ def plan(settings: dict[str, Any], out: Path, steps: int, **ppo: Any) -> PpoTrai
     return PpoTraining(out, steps, 5, adversary_options(settings), PpoOptions.parse(values))
 
 
-def test_a_training_leaves_an_actor_and_goes_on(settings: dict[str, Any], tmp_path: Path) -> None:
+def test_a_training_writes_an_actor_and_can_be_resumed(settings: dict[str, Any], tmp_path: Path) -> None:
     told: list[int] = []
     done = train(plan(settings, tmp_path / "a", 8), False, lambda steps, _: told.append(steps))
     assert told == list(range(1, 9))
@@ -103,6 +103,6 @@ def test_a_training_leaves_an_actor_and_goes_on(settings: dict[str, Any], tmp_pa
         train(plan(settings, tmp_path / "a", 24, gamma=0.5), True, lambda *_: None)
 
 
-def test_minibatches_must_fit() -> None:
+def test_the_batch_size_must_divide_the_steps() -> None:
     with pytest.raises(ConfigError, match="n_steps = 100 is no multiple of batch_size = 64"):
         PpoOptions.parse({"n_steps": 100}, "options of ppo")

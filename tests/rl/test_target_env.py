@@ -1,4 +1,4 @@
-"""The environment of the tested vehicle: the checkers, its reward, and that it repeats itself."""
+"""The environment of the tested vehicle: the checkers, its reward, and its repeatability."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_controls_by_hand() -> None:
     assert controls_of(np.array([-1.0, 0.5])).steer_rad.tolist() == [0.25] * 5
 
 
-def test_steering_off_the_road_costs_and_ends_it() -> None:
+def test_leaving_the_road_costs_and_ends_the_episode() -> None:
     env = TargetEnv(**{**OPTIONS, "horizon_s": 20.0})
     env.reset(seed=4)
     terms = []
@@ -74,7 +74,7 @@ def test_steering_off_the_road_costs_and_ends_it() -> None:
     assert reward == pytest.approx(sum(terms[-1].values()))
 
 
-def test_a_step_pays_a_tenth_of_a_point_a_metre() -> None:
+def test_the_reward_of_progress_is_a_tenth_per_metre() -> None:
     env = TargetEnv(**OPTIONS)
     seen, _ = env.reset(seed=4)
     speed = 15.0 * float(seen[0])
@@ -84,7 +84,7 @@ def test_a_step_pays_a_tenth_of_a_point_a_metre() -> None:
     assert (terms["collision"], terms["effort"]) == (0.0, 0.0)
 
 
-def test_speeding_pays_no_more_than_the_limit() -> None:
+def test_progress_above_the_speed_limit_is_not_rewarded() -> None:
     env = TargetEnv(**{**OPTIONS, "horizon_s": 6.0})
     seen, _ = env.reset(seed=4)
     limit = 15.0 * float(seen[1])
@@ -99,6 +99,6 @@ def test_speeding_pays_no_more_than_the_limit() -> None:
     assert paid[-1][1] == pytest.approx(0.1 * 0.5 * limit)
 
 
-def test_an_option_that_there_is_not() -> None:
+def test_an_unknown_option() -> None:
     with pytest.raises(ConfigError, match="did you mean 'background'"):
         TargetEnv(backgrounds="sumo")

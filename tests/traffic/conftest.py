@@ -18,7 +18,7 @@ def road(networks: Path) -> RoadMap:
 
 @pytest.fixture
 def log() -> Tracks:
-    """Return 8 s at 2 Hz from t = −2 s: everybody drives east, in lanes 4 m apart.
+    """Return 8 s at 2 Hz from t = −2 s: all vehicles drive east, in lanes 4 m apart.
 
     "ego" and "a" at 10 m/s throughout; "b" leaves after 1 s; "c" enters at 2 s; "d" stands; "flash" is
     seen once, at 1 s.

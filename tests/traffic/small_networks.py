@@ -1,4 +1,4 @@
-"""Small untrained networks that do something, and a street scene on a shipped net."""
+"""Small untrained networks whose vehicles move, and a street scene on a shipped net."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MODEL = {
     "reward_hidden": 16,
 }
 SEED = 2
-"""Of weights with which the vehicles of the street below drive somewhere and stay on the road."""
+"""Seed of weights with which the vehicles of the street below move and stay on the road."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -34,7 +34,7 @@ def one_thread() -> Iterator[None]:
 
 
 def untrained(folder: Path, layers: int) -> str:
-    """Return the file of an untrained bundle whose weights are no longer the cautious first ones."""
+    """Return the file of an untrained bundle with other weights than the initial ones, which hardly move a vehicle."""
     bundle = new_bundle(BundleOptions.parse({"model": {**MODEL, "denoiser_layers": layers}}))
     generator = torch.Generator().manual_seed(SEED)
     for module in bundle.modules().values():
@@ -52,7 +52,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="session")
 def uncoupled(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return weights whose denoiser looks at one vehicle at a time."""
+    """Return weights whose denoiser treats one vehicle at a time."""
     return untrained(tmp_path_factory.mktemp("uncoupled"), 0)
 
 
@@ -95,5 +95,5 @@ def street(downtown: RoadMap) -> Callable[..., Scene]:
 
 
 def moved_by(scene: Scene, shift: tuple[float, float]) -> Scene:
-    """Return *scene* elsewhere."""
+    """Return *scene* with all positions shifted."""
     return replace(scene, history=replace(scene.history, xy_m=scene.history.xy_m + np.asarray(shift)))

@@ -1,4 +1,4 @@
-"""The names of attacks are the options' own, and cost the command line nothing."""
+"""The names of attacks match the policies' options and can be imported fast."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from advdiff_sumo.traffic.diffusion.diffusion_options import LAWFUL_ATTACKS, Dif
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedOptions
 
 
-def test_help_lists_what_the_policies_take() -> None:
+def test_help_lists_the_attacks_that_the_policies_accept() -> None:
     (option,) = get_args(run_flags.Attack)[1:]
     lawful, reckless = option.help.removesuffix(".").split("; with --licence reckless: ")
     assert lawful.partition(": ")[2].split(", ") == [*get_args(get_type_hints(ScriptedOptions)["attack"])]
@@ -23,6 +23,6 @@ def test_help_lists_what_the_policies_take() -> None:
     )
 
 
-def test_names_are_had_without_numpy() -> None:
+def test_names_can_be_imported_without_numpy() -> None:
     code = "import sys, advdiff_sumo.traffic.attack_names; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

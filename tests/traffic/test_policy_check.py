@@ -26,7 +26,7 @@ def test_every_built_in_keeps_the_contract(name: str, road: RoadMap, scene: Scen
 
 
 class Breaking:
-    """Replays, after *breach* has spoilt the plan."""
+    """Replays the log, with a plan changed by *breach*."""
 
     def __init__(self, breach: Callable[[Tracks], Any]) -> None:
         self.replay, self.breach = Replay(period_s=1.5), breach
@@ -97,7 +97,7 @@ def test_a_changed_scene_or_log_is_found(road: RoadMap, scene: Scene, log: Track
 
 
 class Coasting(Coast):
-    """Coasts; the classes below differ from it in what their names say."""
+    """Coasts; the classes below differ from it as their names say."""
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Any:
         return {"plans": 0, "paths": {}}
@@ -129,7 +129,7 @@ class StopsAtOnce(Coasting):
 
 
 class InItsOwnFrame(Coasting):
-    """Plans well, having moved all that it sees."""
+    """Plans correctly, but shifts the scene that it was given."""
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
         plan = super().plan(road, scene, memory, rng)
@@ -138,7 +138,7 @@ class InItsOwnFrame(Coasting):
 
 
 class NamesByNumber(Coasting):
-    """Lets in a vehicle whose name is a number."""
+    """Inserts a vehicle whose id is a number."""
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
         plan, memory = super().plan(road, scene, memory, rng)
@@ -146,7 +146,7 @@ class NamesByNumber(Coasting):
 
 
 class BringsLogged(Coasting):
-    """Lets in a vehicle of the log that is not there now."""
+    """Inserts a vehicle of the log that is not in the scene."""
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> Any:
         plan, memory = super().plan(road, scene, memory, rng)
@@ -173,13 +173,13 @@ def test_the_part_of_the_contract_is_named(
     assert any(problem.text.startswith(said) for problem in problems), problems
 
 
-def test_a_cache_in_the_memory_is_told_and_kept(road: RoadMap, scene: Scene, log: Tracks) -> None:
+def test_a_cache_in_the_memory_is_reported_as_harmless(road: RoadMap, scene: Scene, log: Tracks) -> None:
     (told,) = policy_problems(Caches(), road, scene, log)
     assert (told.harmless, told.text) == (True, "it adds to tables in its memory, as a cache may")
     assert check_policy(Caches(), road, scene, log) == []
 
 
-def test_what_a_policy_keeps_between_episodes_is_found(road: RoadMap, scene: Scene, log: Tracks) -> None:
+def test_state_kept_between_episodes_is_found(road: RoadMap, scene: Scene, log: Tracks) -> None:
     class Grows(Coasting):
         """Plans longer after every third plan."""
 
@@ -201,7 +201,7 @@ def test_hidden_randomness_is_found(road: RoadMap, scene: Scene, log: Tracks) ->
     assert ["two plans" in problem for problem in check_policy(policy, road, scene, log)] == [True]
 
 
-def test_what_is_no_policy_is_said_at_once(road: RoadMap, scene: Scene, log: Tracks) -> None:
+def test_an_object_without_methods_is_no_policy(road: RoadMap, scene: Scene, log: Tracks) -> None:
     assert check_policy(object(), road, scene, log) == ["it has no method start"]  # type: ignore[arg-type]
 
 

@@ -44,7 +44,7 @@ def test_every_built_in_is_a_policy(name: str) -> None:
         ("advdiff_sumo.core.seeds:SeedTree", {}, "root"),
     ],
 )
-def test_what_cannot_be_made_is_explained(name: str, options: dict[str, Any], said: str) -> None:
+def test_errors_explain_why_a_policy_cannot_be_made(name: str, options: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError) as caught:
         make_policy(name, options)
     assert said in str(caught.value)

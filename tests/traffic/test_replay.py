@@ -1,4 +1,4 @@
-"""Replay does what the log says."""
+"""Replay follows the log."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_plan_is_the_log_from_the_next_step_on(road: RoadMap, scene: Scene, 
         ({"step_s": 0.05}, 1.0, 0.05),
     ],
 )
-def test_a_run_has_it_plan_up_to_the_next_plan_at_sumos_steps(
+def test_in_a_run_plans_reach_to_the_next_plan_at_sumos_steps(
     sim: dict[str, float], period_s: float, step_s: float
 ) -> None:
     made = policy_of(RunOptions.parse({"background": "replay", "sim": sim}))
@@ -64,7 +64,7 @@ def test_a_vehicle_of_the_scene_whose_log_ended_leaves(road: RoadMap, scene: Sce
 
 
 @pytest.mark.parametrize(("now_s", "share"), [(5.5, 0.5), (6.0, 0.0), (9.0, 0.0), (-0.9, 0.2)])
-def test_beyond_the_log_nobody_is_there(
+def test_beyond_the_log_no_vehicle_is_valid(
     road: RoadMap, scene: Scene, log: Tracks, now_s: float, share: float
 ) -> None:
     policy = Replay()
@@ -75,7 +75,7 @@ def test_beyond_the_log_nobody_is_there(
     assert tracks.valid[tracks.index["a"]].mean() == pytest.approx(share)
 
 
-def test_a_clock_off_the_grid_is_served_too(road: RoadMap, scene: Scene, log: Tracks) -> None:
+def test_times_between_the_steps_of_the_log(road: RoadMap, scene: Scene, log: Tracks) -> None:
     policy = Replay()
     memory = policy.start(road, scene, log, RNG)
     moved = Scene(scene.history.shifted(0.03), scene.target, scene.movable, scene.routes, {})
@@ -83,7 +83,7 @@ def test_a_clock_off_the_grid_is_served_too(road: RoadMap, scene: Scene, log: Tr
     np.testing.assert_allclose(tracks.xy_m[0, :, 0], 10.0 * (0.03 + 0.1 * np.arange(1, 11)))
 
 
-def test_it_is_deaf_to_the_target(road: RoadMap, scene: Scene, log: Tracks) -> None:
+def test_it_does_not_react_to_the_target(road: RoadMap, scene: Scene, log: Tracks) -> None:
     policy = Replay()
     memory = policy.start(road, scene, log, RNG)
     before = policy.plan(road, scene, memory, RNG)[0].tracks.xy_m
@@ -91,7 +91,7 @@ def test_it_is_deaf_to_the_target(road: RoadMap, scene: Scene, log: Tracks) -> N
     np.testing.assert_array_equal(policy.plan(road, scene, memory, RNG)[0].tracks.xy_m, before)
 
 
-def test_what_cannot_be_is_refused(road: RoadMap, scene: Scene) -> None:
+def test_impossible_options_and_missing_logs_are_refused(road: RoadMap, scene: Scene) -> None:
     with pytest.raises(SceneError, match="needs a log"):
         Replay().start(road, scene, None, RNG)
     with pytest.raises(ConfigError, match="did you mean 'step_s'"):
@@ -122,7 +122,7 @@ def test_real_drives_are_followed_at_every_keyframe(road: RoadMap, adv_data: Pat
             rows = [log.index[name] for name in tracks.ids]
             there = tracks.valid[:, 4]
             lone = log.valid[rows, k + 1] & ~there
-            for row in np.flatnonzero(lone):  # only who is logged at this keyframe alone may be missing
+            for row in np.flatnonzero(lone):  # only vehicles logged at this keyframe alone may be missing
                 assert not log.valid[rows[row], [k, min(k + 2, log.steps - 1)]].any()
             np.testing.assert_array_equal(tracks.xy_m[there, 4], log.xy_m[rows, k + 1][there])
             turn = wrap_angle(tracks.yaw_rad[there, 4] - log.yaw_rad[rows, k + 1][there])

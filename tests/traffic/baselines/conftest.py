@@ -14,7 +14,7 @@ __all__ = ["downtown", "one_thread", "street", "weights"]
 
 @pytest.fixture(scope="session")
 def simnet(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the file of an untrained SimNet that does something."""
+    """Return the file of an untrained SimNet whose vehicles move."""
     sizes = {key: value for key, value in MODEL.items() if key != "channels"}
     net = new_simnet(ModelOptions.parse({**sizes, "channels": (8, 16, 24)}))
     generator = torch.Generator().manual_seed(2)

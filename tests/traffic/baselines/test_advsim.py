@@ -1,4 +1,4 @@
-"""AdvSim's actions and costs by hand and by property, and its search on a street."""
+"""AdvSim's actions and costs, worked by hand and as properties, and its search on a street."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def begun(speed: float, accel: float = 0.0, curvature: float = 0.0) -> Initial:
 
 
 def test_a_change_by_hand() -> None:
-    """Asked to brake by 6 m/s² more, it may take 5 m/s² in the first half second and all in the second."""
+    """To brake by 6 m/s² more, it may change by 5 m/s² in the first half second and reach 6 m/s² in the second."""
     changes = torch.zeros(1, 1, 2, 2)
     changes[..., 0] = -1.0
     made = drive(changes, begun(20.0, 1.0), OPTIONS, MODEL)
@@ -55,7 +55,7 @@ def test_a_change_by_hand() -> None:
 
 
 def test_a_bend_by_hand() -> None:
-    """At 10 m/s 6 m/s² sideways are 0.06/m; a change of 8 m/s³ sideways allows 0.04/m each half second."""
+    """At 10 m/s 6 m/s² of lateral acceleration is 0.06/m; 8 m/s³ allows a change of 0.04/m each half second."""
     changes = torch.zeros(1, 1, 3, 2)
     changes[..., 1] = 1.0
     made = drive(changes, begun(10.0), AdvSimOptions(steer_share=1.0), MODEL)
@@ -74,7 +74,7 @@ def test_no_change_is_the_initial_sequence(downtown: RoadMap, street: Street, we
 
 
 def largest_curvature(speed: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
-    """Return the bound that steering angle and lateral acceleration set at *speed*."""
+    """Return the largest curvature that steering angle and lateral acceleration allow at *speed*."""
     grip = MODEL.lateral_mps2 / speed.clamp(min=0.1) ** 2
     return torch.minimum(tightest_curvature(length, MODEL), grip)
 
@@ -86,7 +86,7 @@ def largest_curvature(speed: torch.Tensor, length: torch.Tensor) -> torch.Tensor
     accel=st.floats(-8.0, 4.0),
     turn=st.floats(-1.0, 1.0),
 )
-def test_bounds_hold_whatever_is_asked_for(seed: int, speed: float, accel: float, turn: float) -> None:
+def test_bounds_hold_for_all_changes(seed: int, speed: float, accel: float, turn: float) -> None:
     changes = 4.0 * torch.rand(5, 1, 6, 2, generator=torch.Generator().manual_seed(seed)) - 2.0
     first = begun(speed, accel)
     curvature = turn * float(largest_curvature(torch.tensor(speed), torch.tensor(4.6)))
@@ -109,7 +109,7 @@ def test_costs_by_hand(downtown: RoadMap, street: Street) -> None:
     row = torch.tensor([view.ids.index("v1")])
     ground = ground_of(rollout, view.batch, row, 4)
     own = Rollout(*(part[:, row] for part in (rollout.xy, rollout.yaw, rollout.speed, zero, zero)))
-    soft = 0.5 * np.log(8.0)  # eight half steps, all at the least distance
+    soft = 0.5 * np.log(8.0)  # eight half steps at the same distance
     assert float(attack_cost(own, ground)) == pytest.approx(15.4 - soft, abs=1e-3)
     assert float(violation(own, ground)) == pytest.approx(0.0, abs=1e-5)
     ahead = torch.tensor([torch.cos(states[0, 0, 0, 2]), torch.sin(states[0, 0, 0, 2])])
@@ -134,7 +134,7 @@ def test_the_search_beats_its_start_and_keeps_its_constraints(
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
     task = SearchTask(downtown, look(downtown, scene), memory, 3)
     found = policy.search(task)
-    assert found.losses[4] < found.losses[0]  # within the first block, against one answer of the surrogate
+    assert found.losses[4] < found.losses[0]  # within the first block, against one reaction of the surrogate
     with torch.no_grad():
         natural = policy.driver(task.view.batch)
     rows = torch.tensor([task.view.ids.index(name) for name in found.drawn.attackers])
@@ -147,11 +147,11 @@ def test_the_search_beats_its_start_and_keeps_its_constraints(
     )
     allowed = float(violation(before, ground)) + 0.02
     assert float(violation(after, ground)) <= allowed
-    if surrogate == "model":  # the target stays as it was, so both meet the same
+    if surrogate == "model":  # the target does not react, so both costs are comparable
         assert float(attack_cost(after, ground)) < float(attack_cost(before, ground))
 
 
-def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_the_next_search_starts_one_step_later(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     policy = AdvSim(weights=weights, initial="model", rounds=5, candidates=8, surrogate="model", attackers=1)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -166,7 +166,7 @@ def test_the_next_search_starts_one_step_on(weights: str, downtown: RoadMap, str
     assert case is not None
     warm = policy._previous_changes(case).numpy()[0]
     np.testing.assert_allclose(warm, np.vstack((old[1:], np.zeros((1, 2)))), atol=1e-6)
-    made = replace(view.now, t0_s=view.scene.time_s - 0.5)  # a plan of a second ago
+    made = replace(view.now, t0_s=view.scene.time_s - 0.5)  # a plan made one second ago
     warm = policy._previous_changes(
         replace(case, task=replace(case.task, memory=replace(first, plan=made)))
     ).numpy()[0]

@@ -1,4 +1,4 @@
-"""The roll-out of everybody by machine code, which Strive searches with, against the network's own, with gradients."""
+"""The joint rollout by machine code, which Strive uses, against that of the network, with gradients."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def parts(rollout: Rollout) -> tuple[Tensor, ...]:
 @pytest.mark.parametrize("forced", [False, True], ids=["free", "the target is given"])
 @pytest.mark.parametrize("speeds", [[8.0, 7.0, 9.0, 6.0], [8.0, 0.3, 0.0, 12.0]], ids=["driving", "stopping"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_it_is_the_network(
+def test_it_equals_the_network(
     seed: int, speeds: list[float], forced: bool, weights: str, downtown: RoadMap, street: Street
 ) -> None:
-    torch.set_num_threads(1)  # reset after the module; tensors this small lose time with more
+    torch.set_num_threads(1)  # reset after the module; more threads slow down such small tensors
     networks = load_bundle(shipped_weights(weights)).frozen()
     traffic, sizes = networks.traffic, networks.options.model
     batch = look(downtown, street(PLACES, speeds), map_view=sizes.map_view).batch

@@ -1,4 +1,4 @@
-"""Both rivals as policies, with small untrained networks: what holds whatever the weights are."""
+"""Properties of both baselines as policies that hold for all weights, with small untrained networks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NAMES = ("strive", "advsim")
 
 @pytest.fixture
 def made(weights: str, simnet: str) -> Callable[..., BaselinePolicy]:
-    """Return a function (name, options) → the rival with small networks, a short search and no law."""
+    """Return a function (name, options) → the reckless baseline with small networks and a short search."""
 
     def make(name: str, **options: Any) -> BaselinePolicy:
         more = {"simnet": simnet, "candidates": 8} if name == "advsim" else {}
@@ -99,7 +99,7 @@ def test_no_rounds_is_the_priors_mean(
 
 
 @pytest.mark.parametrize("initial", ["simnet", "model"])
-def test_no_rounds_is_what_drives_before(
+def test_no_rounds_is_the_initial_future(
     initial: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -113,7 +113,7 @@ def test_no_rounds_is_what_drives_before(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_only_as_many_attack_as_asked_for(
+def test_no_more_vehicles_attack_than_the_option_allows(
     name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -127,7 +127,7 @@ def test_only_as_many_attack_as_asked_for(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nobody_to_move(
+def test_no_vehicle_to_move(
     name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = replace(street(PLACES, SPEEDS), movable=np.zeros(4, dtype=np.bool_))
@@ -139,7 +139,7 @@ def test_nobody_to_move(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_plan_tells_who_attacks(
+def test_a_plan_names_its_attackers(
     name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene, policy = street(PLACES, SPEEDS), made(name, attackers=1)
@@ -150,7 +150,7 @@ def test_a_plan_tells_who_attacks(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_plan_is_driven_for_as_long_as_asked(
+def test_a_plan_is_driven_for_replan_steps(
     name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -163,7 +163,7 @@ def test_a_plan_is_driven_for_as_long_as_asked(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_half_seconds_are_counted_where_plans_are_further_apart(
+def test_model_steps_are_counted_if_plans_are_farther_apart(
     name: str, made: Callable[..., BaselinePolicy], downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -192,7 +192,7 @@ def test_wrong_options(
         made(name, **options)
 
 
-def test_names_and_files_that_are_not_there(made: Callable[..., BaselinePolicy], tmp_path: Path) -> None:
+def test_unknown_names_and_missing_files(made: Callable[..., BaselinePolicy], tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="lane_graph"):
         made("strive", surrogate="lane_graf")
     with pytest.raises(WeightsError, match="no such file"):

@@ -1,4 +1,4 @@
-"""Strive's loss by hand, and its search on a street."""
+"""Strive's loss, worked by hand, and its search on a street."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SPEEDS = [8.0, 7.0, 9.0, 6.0]
 
 
 def standing(*x: float) -> Rollout:
-    """Return two instants of vehicles that stand at these places on a line."""
+    """Return two instants of vehicles that stand at positions *x* on a line."""
     xy = torch.tensor([[place, 0.0] for place in x])[None, :, None].repeat(1, 1, 2, 1)
     zero = torch.zeros(xy.shape[:3])
     return Rollout(xy, zero, zero, zero, zero)
 
 
-def test_the_soft_choice_by_hand() -> None:
+def test_the_softmin_by_hand() -> None:
     """Distances 3 and 5 at both instants: δ is a softmin over all four."""
     loss, share = adversarial_term(standing(0.0, 3.0, -5.0), torch.tensor([False, True, True]))
     near = np.exp(-3.0) / (2.0 * (np.exp(-3.0) + np.exp(-5.0)))
@@ -40,20 +40,20 @@ def test_the_soft_choice_by_hand() -> None:
     assert float(loss) == pytest.approx(2.0 * near * 9.0 + (1.0 - 2.0 * near) * 25.0, rel=1e-5)
 
 
-def test_who_is_not_moved_is_not_chosen() -> None:
+def test_vehicles_that_are_not_moved_are_no_attackers() -> None:
     loss, share = adversarial_term(standing(0.0, 3.0, -5.0), torch.tensor([False, False, True]))
     assert share.tolist() == [0.0, 0.0, 1.0]
     assert float(loss) == pytest.approx(25.0)
 
 
-def test_middles_are_put_in() -> None:
+def test_midpoints_are_inserted() -> None:
     rollout = standing(4.0)
     pose = torch.tensor([[[0.0, 0.0, 0.0, 0.0]]])
     assert halves(rollout, pose).xy[0, 0, :, 0].tolist() == [2.0, 4.0, 4.0, 4.0]
 
 
-def test_likelihood_counts_less_for_who_attacks(downtown: RoadMap, street: Street) -> None:
-    """The nearest is all of the attacker: its latent is nearly free, the other's is not."""
+def test_the_prior_counts_less_for_attackers(downtown: RoadMap, street: Street) -> None:
+    """The nearest vehicle has all of the share: its latent is nearly free, the other's is not."""
     scene = street([(60.0, 0.0), (70.0, 0.0), (110.0, 0.0)], [0.0, 0.0, 0.0])
     batch = look(downtown, scene).batch
     states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
@@ -71,8 +71,10 @@ def test_likelihood_counts_less_for_who_attacks(downtown: RoadMap, street: Stree
     assert at(2) == pytest.approx((0.5 * 4.0 * 1.0 / 2.0, 4.0 * 0.5), rel=1e-3)
 
 
-def test_who_may_not_attack_is_held_to_the_prior_however_near(downtown: RoadMap, street: Street) -> None:
-    """The nearer one, 10 m away, may not: the other one, 50 m away, is all of the attacker."""
+def test_vehicles_that_may_not_attack_keep_to_the_prior_at_any_distance(
+    downtown: RoadMap, street: Street
+) -> None:
+    """The nearer vehicle, 10 m away, may not attack: the other one, 50 m away, has all of the share."""
     batch = look(downtown, street([(60.0, 0.0), (70.0, 0.0), (110.0, 0.0)], [0.0] * 3)).batch
     states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
     zero = torch.zeros(states.shape[:3])
@@ -89,8 +91,8 @@ def test_who_may_not_attack_is_held_to_the_prior_however_near(downtown: RoadMap,
     assert (float(terms.prior), float(terms.start)) == pytest.approx((0.5 * 4.0 / 2.0, 4.0 * 0.5), rel=1e-3)
 
 
-def test_touching_by_hand(downtown: RoadMap, street: Street) -> None:
-    """Two that overlap fully count 1 for each other; the attacker's own contact with the target counts nothing."""
+def test_collision_terms_by_hand(downtown: RoadMap, street: Street) -> None:
+    """Two vehicles that overlap fully count 1; the attacker's own contact with the target counts 0."""
     scene = street([(60.0, 0.0), (61.0, 0.0), (90.0, 0.0), (90.0, 0.0)], [0.0] * 4)
     batch = look(downtown, scene).batch
     states = batch.pose[:, :, None].repeat(1, 1, 2, 1)
@@ -107,10 +109,8 @@ def test_touching_by_hand(downtown: RoadMap, street: Street) -> None:
 
 
 @pytest.mark.parametrize("surrogate", ["model", "lane_graph"])
-def test_the_loss_goes_down_and_the_start_is_beaten(
-    surrogate: str, weights: str, downtown: RoadMap, street: Street
-) -> None:
-    """Against one and the same answer of the surrogate the attack's own term is lower than where it began."""
+def test_the_search_lowers_the_loss(surrogate: str, weights: str, downtown: RoadMap, street: Street) -> None:
+    """Against the same reaction of the surrogate the adversarial term is lower than at the start."""
     scene = street(PLACES, SPEEDS)
     policy = Strive(weights=weights, rounds=12, refresh=12, surrogate=surrogate, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -127,10 +127,8 @@ def test_the_loss_goes_down_and_the_start_is_beaten(
     assert float(after.adversarial) < float(before.adversarial)
 
 
-def test_the_target_drives_what_the_surrogate_answered(
-    weights: str, downtown: RoadMap, street: Street
-) -> None:
-    """For the 4 s that it is asked for; the loss is the same with the road's edges at hand and without."""
+def test_the_target_drives_the_surrogates_states(weights: str, downtown: RoadMap, street: Street) -> None:
+    """For 4 s; and the loss is the same whether the road's edges are given or derived."""
     scene = street(PLACES, SPEEDS)
     policy = Strive(weights=weights, licence="reckless")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -146,7 +144,9 @@ def test_the_target_drives_what_the_surrogate_answered(
         assert torch.equal(strive_loss(*given).total, policy.loss(start, epsilon, forced).total)
 
 
-def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_latents_of_vehicles_that_are_not_moved_are_unchanged(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
     scene = street(PLACES, SPEEDS)
     scene = Scene(scene.history, 0, np.array([False, True, False, True]), scene.routes, scene.signals)
     policy = Strive(weights=weights, rounds=3, licence="reckless")
@@ -155,7 +155,7 @@ def test_latents_of_who_may_not_be_moved_stay(weights: str, downtown: RoadMap, s
     assert {name for name, value in found.items() if value.any()} == {"v1", "v3"}
 
 
-def test_the_next_search_starts_where_the_last_one_ended(
+def test_the_next_search_starts_from_the_previous_result(
     weights: str, downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -169,8 +169,8 @@ def test_the_next_search_starts_where_the_last_one_ended(
     assert not begun.natural.any()
 
 
-def test_a_temperature_draws_traffic(weights: str, downtown: RoadMap, street: Street) -> None:
-    """No rounds at temperature 1 is the traffic model itself; persistence keeps what was drawn."""
+def test_temperature_1_draws_from_the_prior(weights: str, downtown: RoadMap, street: Street) -> None:
+    """Without rounds, temperature 1 gives the traffic model's draws; persistence keeps them."""
     scene = street(PLACES, SPEEDS)
     policy = Strive(weights=weights, rounds=0, temperature=1.0, persistence=1.0)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -181,7 +181,9 @@ def test_a_temperature_draws_traffic(weights: str, downtown: RoadMap, street: St
     assert torch.equal(kept.drawn.rollout.xy, one.drawn.rollout.xy)
 
 
-def test_who_is_behind_attacks_without_a_law_alone(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_vehicles_behind_the_target_attack_only_if_reckless(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
     """Two are behind the target; the last one, ahead on its left, may attack under every licence."""
     scene = street([(60.0, 0.0), (48.0, 0.0), (46.0, 4.0), (70.0, 6.0)], [8.0] * 4)
     found = {}
@@ -194,7 +196,7 @@ def test_who_is_behind_attacks_without_a_law_alone(weights: str, downtown: RoadM
 
 
 class Counts(LaneGraphPlanner):
-    """A surrogate whose memory is how often it has been asked."""
+    """A surrogate whose memory counts its plans."""
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> int:
         return 0
@@ -203,8 +205,10 @@ class Counts(LaneGraphPlanner):
         return super().plan(road, scene, super().start(road, scene, rng), rng)[0], memory + 1
 
 
-def test_traffic_is_natural_where_nobody_may_attack(weights: str, downtown: RoadMap, street: Street) -> None:
-    """What an earlier attack had found is let go; the surrogate sees every scene all the same."""
+def test_traffic_is_natural_without_possible_attackers(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """The result of an earlier search is dropped; the surrogate still plans in every scene."""
     scene = street([(60.0, 0.0), (48.0, 0.0), (46.0, 4.0)], [8.0] * 3)
     policy = Strive(weights=weights, surrogate=f"{__name__}:Counts")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The target as a surrogate drives it through an imagined future."""
+"""The target driven by a surrogate among planned futures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Street = Callable[..., Scene]
 
 
 def test_states_of_a_trajectory(street: Street) -> None:
-    """1 m each 0.1 s from the target's centre: 5 m after half a second, 10 m after one."""
+    """1 m each 0.1 s from the target's centre: 5 m after half a second, 10 m after one second."""
     scene = street([(60.0, 0.0)], [10.0])
     here, yaw = scene.history.xy_m[0, -1], float(scene.history.yaw_rad[0, -1])
     along = np.arange(1.0, 13.0)
@@ -31,7 +31,7 @@ def test_states_of_a_trajectory(street: Street) -> None:
 
 
 def test_states_of_controls(street: Street) -> None:
-    """Braking at 4 m/s² from 10 m/s: 8 and 6 m/s after half a second and one, 4.5 and 8 m on."""
+    """Braking at 4 m/s² from 10 m/s: 8 m/s after half a second and 4.5 m, 6 m/s after one second and 8 m."""
     scene = street([(60.0, 0.0)], [10.0])
     states = states_of(Controls(np.full(10, -4.0), np.zeros(10), 0.1), scene)
     np.testing.assert_allclose(states[:, 3], [8.0, 6.0])
@@ -44,7 +44,7 @@ def test_a_plan_too_short(street: Street) -> None:
         states_of(Controls(np.zeros(1), np.zeros(1), 0.1), street([(60.0, 0.0)], [10.0]))
 
 
-def test_it_reacts_to_what_the_others_are_going_to_do(downtown: RoadMap, street: Street) -> None:
+def test_it_reacts_to_the_futures_of_the_others(downtown: RoadMap, street: Street) -> None:
     """The vehicle ahead drives on in one future and stands in the other."""
     scene = street([(40.0, 0.0), (60.0, 0.0)], [8.0, 8.0])
     view = look(downtown, scene)
@@ -66,5 +66,5 @@ def test_it_reacts_to_what_the_others_are_going_to_do(downtown: RoadMap, street:
     assert all(x.shape == (8, 4) for x in made)
 
 
-def test_the_models_own_prediction_needs_no_planner() -> None:
+def test_the_models_prediction_needs_no_planner() -> None:
     assert make_surrogate("model") is None

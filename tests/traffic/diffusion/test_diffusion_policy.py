@@ -1,4 +1,4 @@
-"""The policy with small untrained networks on a shipped net: what holds whatever the weights are."""
+"""Properties of the policy that hold for all weights: small untrained networks on a shipped net."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_it_keeps_the_contract(
     assert check_policy(policy, downtown, street(PLACES, SPEEDS), None) == []
 
 
-def test_the_guide_goes_for_crossings_where_oncoming_ones_are_asked_for() -> None:
+def test_the_guide_uses_the_junction_term_for_oncoming() -> None:
     assert DiffusionOptions(attack="oncoming").attack_term == DiffusionOptions(attack="crossing").attack_term
 
 
@@ -88,7 +88,7 @@ def test_same_memory_and_random_numbers_same_bytes(weights: str, downtown: RoadM
     assert first.xy_m.tobytes() != other.xy_m.tobytes()
 
 
-def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_strength_0_equals_no_guide(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     natural, _ = planned(DiffusionTraffic(weights=weights, guide="none", strength=1.0), downtown, scene)
     zero, _ = planned(DiffusionTraffic(weights=weights, strength=0.0), downtown, scene)
@@ -100,10 +100,10 @@ def test_strength_0_is_no_guide_exactly(weights: str, downtown: RoadMap, street:
 @pytest.mark.parametrize(
     ("guide", "attack"), [("reward", "any"), ("reward", "brake"), ("reward-only", "any")]
 )
-def test_attackers_alone_are_shifted(
+def test_only_attackers_are_shifted(
     guide: str, attack: str, uncoupled: str, downtown: RoadMap, street: Street
 ) -> None:
-    """One attacker: nobody else's latent changes by a bit."""
+    """One attacker: all other latents are bit-identical."""
     scene = street(PLACES, SPEEDS)
     view = look(downtown, scene)
     options = {"weights": uncoupled, "attack": attack, "attackers": 1, "strength": 1.0}
@@ -115,8 +115,10 @@ def test_attackers_alone_are_shifted(
     assert len(drawn.attackers) == 1
 
 
-def test_q_alone_knows_no_kinds_of_attack(weights: str, downtown: RoadMap, street: Street) -> None:
-    """Both kinds choose the same one of two who follow the target; with the attack's terms they part."""
+def test_the_reward_model_alone_knows_no_kinds_of_attack(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """Both kinds choose the same of two followers of the target; with the cost terms they differ."""
     scene = street(PLACES[:3], SPEEDS[:3])
 
     def of(guide: str, attack: str) -> bytes:
@@ -142,10 +144,8 @@ def test_attackers_stay_attackers(weights: str, downtown: RoadMap, street: Stree
     assert tuple(after.shifts) == (other,)
 
 
-def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
-    weights: str, downtown: RoadMap, street: Street
-) -> None:
-    """The same scene planned again and again: shifts grow up to twice what one plan makes, and no further."""
+def test_an_attack_continues_from_the_previous_shift(weights: str, downtown: RoadMap, street: Street) -> None:
+    """The same scene planned repeatedly: shifts grow to twice that of a single plan, and no further."""
     scene = street(PLACES, SPEEDS)
     policy = DiffusionTraffic(weights=weights, strength=0.5, attackers=1)
     memory, lengths = policy.start(downtown, scene, None, np.random.default_rng(3)), []
@@ -159,10 +159,8 @@ def test_an_attack_goes_on_from_the_shift_of_the_plan_before(
     assert max(lengths) <= most + 1e-5
 
 
-def test_temperature_scales_the_noise_that_a_plan_begins_with(
-    weights: str, downtown: RoadMap, street: Street
-) -> None:
-    """At 0 every seed draws the same; reckless plans are drawn as the networks were trained, others are calmer."""
+def test_temperature_scales_the_starting_noise(weights: str, downtown: RoadMap, street: Street) -> None:
+    """At 0 all seeds draw the same plan; the default is 1 for reckless plans, and less otherwise."""
     view, drawn = look(downtown, street(PLACES, SPEEDS)), {}
     for temperature in (0.0, 0.4, 1.0, None):
         policy = DiffusionTraffic(weights=weights, guide="none", temperature=temperature)
@@ -176,7 +174,7 @@ def test_temperature_scales_the_noise_that_a_plan_begins_with(
     assert DiffusionTraffic(weights=weights, licence="reckless").options.noise == 1.0
 
 
-def test_the_plan_does_not_depend_on_where_the_world_begins(
+def test_the_plan_does_not_depend_on_the_origin_of_the_net(
     weights: str, networks: Path, downtown: RoadMap, street: Street, tmp_path: Path
 ) -> None:
     """The same net shifted by hundreds of metres: the plan is the same, shifted.
@@ -219,7 +217,7 @@ def _shifted(net: Path, folder: Path, shift: np.ndarray) -> Path:
     return path
 
 
-def test_short_histories_and_vehicles_that_just_came(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_short_histories_and_new_vehicles(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     history = scene.history.window(3, 5)
     valid = history.valid.copy()
@@ -238,8 +236,8 @@ def test_short_histories_and_vehicles_that_just_came(weights: str, downtown: Roa
     assert np.isfinite(tracks.xy_m).all()
 
 
-def test_who_is_seen(downtown: RoadMap, street: Street) -> None:
-    """Every movable vehicle however far, and of the others the nearest; the target first."""
+def test_the_view_of_a_scene(downtown: RoadMap, street: Street) -> None:
+    """The target first, every movable vehicle at any distance, and the nearest of the others."""
     places = [(100.0, 0.0), *((100.0 + 2.0 * k, 0.0) for k in range(1, 41))]
     scene = street(places, [0.0] * 41)
     movable = np.zeros(41, dtype=np.bool_)
@@ -251,7 +249,7 @@ def test_who_is_seen(downtown: RoadMap, street: Street) -> None:
     assert [view.ids[k] for k in np.flatnonzero(view.moved)] == ["v5", "v40"]
 
 
-def test_pedestrians_and_who_may_not_be_moved_get_no_plan(
+def test_pedestrians_and_vehicles_that_are_not_movable_get_no_plan(
     weights: str, downtown: RoadMap, street: Street
 ) -> None:
     scene = street(PLACES, SPEEDS)
@@ -264,7 +262,7 @@ def test_pedestrians_and_who_may_not_be_moved_get_no_plan(
     assert set(tracks.ids) == {"v3", "v4"}
 
 
-def test_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_no_vehicle_to_move(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     tracks, _ = planned(
         DiffusionTraffic(weights=weights), downtown, replace(scene, movable=np.zeros(5, dtype=np.bool_))
@@ -272,7 +270,9 @@ def test_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None
     assert tracks.agents == 0
 
 
-def test_turns_go_on_while_there_is_nobody_to_move(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_manoeuvres_take_turns_without_a_vehicle_to_move(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
     """After 10 s the turn of the cut-out, which can begin at 0 s alone, is over: a leader comes in for a stop.
 
     1.5 s and 8 m ahead of a target with 8 m/s are less than the 36 m that a leader keeps from it at least.
@@ -293,8 +293,10 @@ def test_turns_go_on_while_there_is_nobody_to_move(weights: str, downtown: RoadM
     assert memory.commitments.since_s == {"v0": 10.0}
 
 
-def test_who_stands_stays_exactly_where_it_is(weights: str, downtown: RoadMap, street: Street) -> None:
-    """A queue behind the target: nobody may creep, whatever the networks say."""
+def test_standing_vehicles_stay_exactly_where_they_are(
+    weights: str, downtown: RoadMap, street: Street
+) -> None:
+    """A queue behind the target: no vehicle may creep, whatever the networks predict."""
     scene = street([(60.0, 0.0), (53.0, 0.0), (46.0, 0.0)], [0.0, 0.0, 0.0])
     policy = DiffusionTraffic(weights=weights, guide="none")
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))
@@ -305,7 +307,7 @@ def test_who_stands_stays_exactly_where_it_is(weights: str, downtown: RoadMap, s
         assert gone[2] == 0.0 or gone[2] > 0.3  # still, or on its way
 
 
-def test_a_plan_is_driven_for_as_long_as_asked(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_a_plan_is_driven_for_replan_steps(weights: str, downtown: RoadMap, street: Street) -> None:
     scene = street(PLACES, SPEEDS)
     policy = DiffusionTraffic(weights=weights, replan=2)
     first, memory = planned(policy, downtown, scene)
@@ -323,10 +325,10 @@ def test_a_plan_is_driven_for_as_long_as_asked(weights: str, downtown: RoadMap, 
     assert "v4" in fresh.tracks.ids
 
 
-def test_half_seconds_are_counted_where_plans_are_further_apart(
+def test_model_steps_are_counted_if_plans_are_farther_apart(
     weights: str, downtown: RoadMap, street: Street
 ) -> None:
-    """A plan each second: one is driven for 2 s of four half seconds, and looked at anew after them."""
+    """A call each second: a plan is driven for four half seconds, and a new one is made after them."""
     scene = street(PLACES, SPEEDS)
     policy = DiffusionTraffic(weights=weights, replan=4)
     first, memory = planned(policy, downtown, scene)
@@ -338,7 +340,7 @@ def test_half_seconds_are_counted_where_plans_are_further_apart(
             np.testing.assert_array_equal(plan.tracks.xy_m, first.xy_m[:, 2:])
 
 
-def test_where_the_road_ends_sumo_takes_over(weights: str, downtown: RoadMap) -> None:
+def test_sumo_takes_over_at_the_end_of_the_road(weights: str, downtown: RoadMap) -> None:
     dead = next(
         x
         for x in sorted(downtown.lanes.values(), key=lambda x: x.id)
@@ -379,12 +381,14 @@ def test_wrong_options(options: dict[str, Any], said: str, weights: str) -> None
         make_policy("diffusion", {"weights": weights, **options})
 
 
-def test_weights_that_are_not_there(tmp_path: Path) -> None:
+def test_missing_weights(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="no such file"):
         DiffusionTraffic(weights=str(tmp_path / "none.safetensors"))
 
 
-def test_a_reward_model_of_its_own(weights: str, downtown: RoadMap, street: Street, tmp_path: Path) -> None:
+def test_a_reward_model_from_another_file(
+    weights: str, downtown: RoadMap, street: Street, tmp_path: Path
+) -> None:
     bundle = load_bundle(Path(weights))
     for weight in bundle.reward.parameters():
         weight.data *= -2.0
@@ -413,10 +417,10 @@ def test_another_spacing_of_histories(weights: str, downtown: RoadMap, street: S
 @pytest.mark.parametrize(
     ("attack", "in_position"), [("brake", {"v1", "v3"}), ("rear-end", {"v2", "v4"}), ("head-on", set())]
 )
-def test_a_plan_tells_who_is_in_a_position_for_the_attack(
+def test_a_plan_names_the_vehicles_in_position_for_the_attack(
     attack: str, in_position: set[str], weights: str, downtown: RoadMap, street: Street
 ) -> None:
-    """Two ahead of the target in its lane, two behind, nobody towards it."""
+    """Two vehicles ahead of the target in its lane, two behind, none oncoming."""
     policy = DiffusionTraffic(weights=weights, licence="reckless", attack=attack)
     scene = street(PLACES, SPEEDS)
     plan, _ = policy.plan(downtown, scene, DiffusionMemory(), np.random.default_rng(3))
@@ -426,10 +430,10 @@ def test_a_plan_tells_who_is_in_a_position_for_the_attack(
 
 
 @pytest.mark.parametrize(("licence", "guided"), [("lawful", {}), ("reckless", {"v1": "guided"})])
-def test_whose_guided_plan_is_not_driven_is_not_guided(
+def test_a_vehicle_whose_guided_plan_is_not_driven_does_not_count_as_guided(
     licence: str, guided: dict[str, str], weights: str, downtown: RoadMap, street: Street
 ) -> None:
-    """At 5.5 m/s it has just driven a manoeuvre, and follows its lane up to 6 m/s, unless it is reckless."""
+    """At 5.5 m/s after a manoeuvre it follows its lane until it reaches 6 m/s, unless it is reckless."""
     scene = street([(60.0, 0.0), (80.0, 0.0)], [5.0, 5.5])
     policy = DiffusionTraffic(weights=weights, licence=licence, staged=0)
     rested = Commitments.start("any", np.random.default_rng(0))
@@ -441,7 +445,7 @@ def test_whose_guided_plan_is_not_driven_is_not_guided(
     assert plan.attack.in_position == tuple(guided)
 
 
-def test_natural_traffic_asks_for_no_attack(weights: str, downtown: RoadMap, street: Street) -> None:
+def test_natural_traffic_has_no_attack(weights: str, downtown: RoadMap, street: Street) -> None:
     policy = DiffusionTraffic(weights=weights, guide="none")
     plan, _ = policy.plan(downtown, street(PLACES, SPEEDS), DiffusionMemory(), np.random.default_rng(3))
     assert plan.attack is None
@@ -465,7 +469,7 @@ def test_natural_traffic_keeps_the_rules_of_its_licence(
 
 
 def test_the_guide_has_no_term_for_a_cut_out(weights: str, downtown: RoadMap, street: Street) -> None:
-    """It is lawful alone: whom the guide pulls to the target is not in a position for it yet."""
+    """It is a lawful manoeuvre only: a vehicle guided to the target is not yet in a position for it."""
     policy = DiffusionTraffic(weights=weights, licence="lawful", attack="cut-out")
     scene = street(PLACES, SPEEDS)
     memory = policy.start(downtown, scene, None, np.random.default_rng(0))

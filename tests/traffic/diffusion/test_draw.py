@@ -1,4 +1,4 @@
-"""Which of several samples is driven."""
+"""The choice among several samples."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from advdiff_sumo.traffic.diffusion.draw import most_plausible
 @pytest.mark.parametrize(
     ("touches", "attackers", "chosen"),
     [
-        (("v1", "v0"), ("v1",), 0),  # the attack: it is what the guide is for
+        (("v1", "v0"), ("v1",), 0),  # the attack itself
         (("v1", "v0"), (), 1),
         (("v1", "v0"), ("v2",), 1),
         (("v1", "v2"), ("v1",), 1),
     ],
 )
-def test_an_attacker_may_touch_the_target_and_nobody_else(
+def test_an_attacker_may_touch_only_the_target(
     touches: tuple[str, str],
     attackers: tuple[str, ...],
     chosen: int,
     downtown: RoadMap,
     street: Callable[..., Scene],
 ) -> None:
-    """Two samples alike, three vehicles 15 m apart, but that two of them touch in the first one."""
+    """Two samples of three vehicles 15 m apart, equal except that two vehicles touch in the first one."""
     view = look(downtown, street([(60.0, 0.0), (75.0, 0.0), (45.0, 0.0)], [8.0] * 3))
     batch = view.batch.repeat(2)
     x, y, yaw, speed = (value[..., None].repeat(1, 1, 12) for value in batch.pose.unbind(-1))

@@ -1,4 +1,4 @@
-"""Plans of the shipped weights are made by machine code alone, from the noise to the slopes."""
+"""Plans with the shipped weights use machine code only, from the noise to the gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ USED = {
 def test_a_guided_plan(
     licence: str, downtown: RoadMap, street: Street, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where this fails, there is no package for what plans are made of: run ``python tools/build_machine_code.py``."""
+    """If this fails, machine code for a part of planning is missing: run ``python tools/build_machine_code.py``."""
     policy = DiffusionTraffic(licence=licence, guide="reward")
     fits: list[bool] = []
     holds = Fitting.holds

@@ -1,4 +1,4 @@
-"""The option ``reward`` of guided traffic: a reward model, or what a lawful warm-up learned."""
+"""The option ``reward`` of guided traffic: a reward model, or the result of a lawful warm-up."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_nothing_by_default() -> None:
     assert options().q_file == ""
 
 
-def test_what_a_lawful_warm_up_learned_is_no_reward_model() -> None:
+def test_the_result_of_a_lawful_warm_up_is_no_reward_model() -> None:
     for licence in ("lawful", "careless"):
         assert options(reward=LEARNED, licence=licence).preference is not None
     assert options(reward=LEARNED).q_file == ""

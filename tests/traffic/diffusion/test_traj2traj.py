@@ -1,4 +1,4 @@
-"""The ablation in closed loop: trajectories that know no vehicle become plans that the driver takes."""
+"""The ablation in closed loop: diffused trajectories, without a vehicle model, become plans that can be driven."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_it_keeps_the_contract_of_a_policy(trajectories: str, downtown: RoadMap,
     assert check_policy(make_policy("traj2traj", {"weights": trajectories}), downtown, scene, None) == []
 
 
-def test_shipped_networks_of_its_own_are_read(downtown: RoadMap, street: Street) -> None:
+def test_it_reads_its_own_shipped_networks(downtown: RoadMap, street: Street) -> None:
     policy = make_policy("traj2traj", {})
     assert isinstance(policy, Traj2Traj)
     assert policy.networks.codec.shape == (3, 12)
@@ -51,8 +51,8 @@ def test_shipped_networks_of_its_own_are_read(downtown: RoadMap, street: Street)
     assert np.abs(np.diff(plans[0].xy_m, axis=1)).max() <= 20.0 + 1e-4
 
 
-def test_moves_longer_than_a_vehicle_makes_are_shortened(downtown: RoadMap, street: Street) -> None:
-    """20 m is what 40 m/s make of half a second: a move of 50 m becomes 20 m, one of 3 m stays."""
+def test_steps_longer_than_the_fastest_speed_allows_are_shortened(downtown: RoadMap, street: Street) -> None:
+    """40 m/s is 20 m in half a second: a step of 50 m becomes 20 m, one of 3 m is unchanged."""
     batch: SceneBatch = look(downtown, street(PLACES, SPEEDS)).batch
     moves = torch.zeros(*batch.pose.shape[:2], 2, 2)
     moves[..., 0, 0], moves[..., 1, 1] = 50.0, 3.0
@@ -65,7 +65,7 @@ def test_moves_longer_than_a_vehicle_makes_are_shortened(downtown: RoadMap, stre
     assert float(made.speed.abs().max()) == 0.0
 
 
-def test_nothing_guides_trajectories(trajectories: str) -> None:
+def test_trajectories_cannot_be_guided(trajectories: str) -> None:
     with pytest.raises(WeightsError, match="diffuses trajectories, which nothing guides"):
         DiffusionTraffic(weights=trajectories)
     with pytest.raises(ConfigError, match="guide"):

@@ -1,4 +1,4 @@
-"""Who attacks, by hand: the target drives east from the origin at 10 m/s."""
+"""The choice of attackers, worked by hand: the target drives east from the origin at 10 m/s."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def chosen(attack: str, count: int = 8, before: str = "", moved: tuple[str, ...]
         ("junction", ["crossing"]),
     ],
 )
-def test_who_is_in_a_position_for_what(attack: str, names: list[str]) -> None:
+def test_vehicles_in_position_for_each_attack(attack: str, names: list[str]) -> None:
     assert sorted(chosen(attack)) == sorted(names)
 
 
-def test_the_nearest_ones_first_and_never_the_target() -> None:
+def test_nearest_attackers_come_first_and_the_target_is_none() -> None:
     near = closest_m(futures())
     order = chosen("any")
     assert [near[NAMES.index(x)] for x in order] == sorted(near[NAMES.index(x)] for x in order)
@@ -57,13 +57,13 @@ def test_the_nearest_ones_first_and_never_the_target() -> None:
     assert chosen("any", count=2) == order[:2]
 
 
-def test_only_who_can_be_moved() -> None:
+def test_only_moved_vehicles_attack() -> None:
     assert chosen("any", moved=("ahead", "far")) == ["ahead"]
     assert chosen("any", moved=()) == []
 
 
-def test_an_attacker_is_kept_until_somebody_comes_much_nearer() -> None:
-    """The one ahead ends up 16 − 4 = 12 m away, the one behind 11 − 4 = 7 m: 5 m are not enough to change."""
+def test_an_attacker_is_kept_until_another_vehicle_comes_much_nearer() -> None:
+    """The vehicle ahead ends up 16 − 4 = 12 m away, the one behind 11 − 4 = 7 m: 5 m nearer is not enough."""
     near = dict(zip(NAMES, closest_m(futures()), strict=True))
     assert near["ahead"] == pytest.approx(12.0)
     assert near["behind"] == pytest.approx(7.0)
@@ -82,15 +82,15 @@ def test_an_attacker_is_kept_until_somebody_comes_much_nearer() -> None:
         ("lawful", {"beside", "oncoming", "crossing", "far"}),
     ],
 )
-def test_who_breaks_no_rule_is_drawn_to_the_target_neither_from_behind_nor_from_its_lane(
+def test_lawful_attackers_are_not_guided_behind_the_target_or_ahead_in_its_lane(
     licence: LicenceName, names: set[str]
 ) -> None:
     may = can_attack(futures(), np.ones(len(NAMES), dtype=np.bool_), licence)
     assert {name for name, can in zip(NAMES, may, strict=True) if can} == names
 
 
-def test_a_leader_round_a_bend_leads() -> None:
-    """The target turns left by 90° on a radius of 20 m; one car is 10 m past the bend, one 10 m off its way."""
+def test_a_lead_vehicle_beyond_a_bend_counts_as_leading() -> None:
+    """The target turns left by 90° on a radius of 20 m; one car is 10 m past the bend, one 10 m off its path."""
     angle = np.linspace(0.0, 0.5 * np.pi, 9)
     bend = np.stack((20.0 * np.sin(angle), 20.0 - 20.0 * np.cos(angle)), axis=-1)
     cars = np.array([[0.0, 0.0], [20.0, 30.0], [30.0, 30.0]])
@@ -101,7 +101,7 @@ def test_a_leader_round_a_bend_leads() -> None:
     assert can_attack(still, np.ones(3, dtype=np.bool_), "lawful").tolist() == [False, False, True]
 
 
-def test_nobody_is_drawn_to_a_target_that_stands_unless_it_may_ram() -> None:
+def test_only_reckless_attackers_are_guided_against_a_standing_target() -> None:
     cars = np.array([[0.0, 0.0], [5.0, 3.5], [20.0, 3.5]])
     standing = coasting(cars, np.zeros(3), np.array([1.9, 8.0, 8.0]), SIZES, 8, 0.5)
     every = np.ones(3, dtype=np.bool_)

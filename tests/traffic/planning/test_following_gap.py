@@ -1,4 +1,4 @@
-"""Who follows the target can stop behind it, worked out on a straight road."""
+"""A follower of the target can stop behind it, worked by hand on a straight road."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ FOLLOWER = np.array([False, True])
 def street(
     gap_m: float, target_mps: float, own_mps: float, aside_m: float = 0.0, yaw_rad: float = 0.0
 ) -> Futures:
-    """Return the target, and somebody *gap_m* behind it; both keep their speeds."""
+    """Return the target, and a follower *gap_m* behind it; both keep their speeds."""
     xy = np.array([[200.0, aside_m], [200.0 - LENGTH_M - gap_m, 0.0]])
     yaw, speed = np.array([yaw_rad, 0.0]), np.array([target_mps, own_mps])
     return coasting(xy, yaw, speed, np.tile([LENGTH_M, 1.8], (2, 1)), T, DT)
 
 
 def slows_by(plans: Futures) -> float:
-    """Return the speed that who follows loses within a step, m/s."""
+    """Return the speed that the follower loses within a step, m/s."""
     driven = plans.xy_m[1, 1, 0] - plans.xy_m[1, 0, 0]
     return float(2.0 * (plans.speed_mps[1, 0] - driven / DT))
 
@@ -50,7 +50,7 @@ def test_the_mildest_braking_that_leaves_room_to_stop(
 
 
 @pytest.mark.parametrize(("aside_m", "yaw_rad"), [(3.5, 0.0), (0.0, np.pi), (0.0, 0.5 * np.pi)])
-def test_nobody_keeps_back_from_who_is_beside_oncoming_or_crossing(aside_m: float, yaw_rad: float) -> None:
+def test_no_gap_is_kept_to_a_target_beside_oncoming_or_crossing(aside_m: float, yaw_rad: float) -> None:
     plans = street(5.0, 20.0, 30.0, aside_m, yaw_rad)
     before = plans.copy()
     assert not keep_back(plans, FOLLOWER, 0, LADDER_MPS2).any()
@@ -58,8 +58,8 @@ def test_nobody_keeps_back_from_who_is_beside_oncoming_or_crossing(aside_m: floa
 
 
 @pytest.mark.parametrize("braking", [3.0, 6.0, FULL_BRAKE_MPS2])
-def test_a_target_that_brakes_to_a_stop_is_not_run_into(braking: float) -> None:
-    """From 30 m/s both, 22 m apart, planned anew each half second, whoever it is for a prediction that it goes on."""
+def test_the_follower_does_not_hit_a_target_that_brakes_to_a_stop(braking: float) -> None:
+    """Both from 30 m/s and 22 m apart; replanned each half second, always with a target predicted to keep its speed."""
     gap, target, own = 22.0, 30.0, 30.0
     for _ in range(40):
         plans = street(gap, target, own)

@@ -1,4 +1,4 @@
-"""Vehicles that nobody plans for any more drive on along their lanes, on a crossing of single lanes."""
+"""Vehicles without a plan continue along their lanes, on a crossing of single lanes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def inner_lane(road: RoadMap, from_lane: str, to_lane: str) -> str:
 
 
 def vehicles(road: RoadMap, *places: tuple[str, float, float, tuple[str, ...]], movable: int = 1) -> Scene:
-    """Return vehicles (lane, s, speed, route), of whom the first *movable* ones are handed back."""
+    """Return vehicles (lane, s, speed, route); the first *movable* ones are handed back."""
     poses = [road.to_world(lane, s) for lane, s, _, _ in places]
     count = len(places)
     now = Tracks(
@@ -56,7 +56,7 @@ def in_the_turn(road: RoadMap, speed: float = 0.0) -> tuple[str, float, float, t
     return inner_lane(road, "WC_0", "CN_0"), 1.0, speed, LEFT_TURN
 
 
-def test_who_stands_in_a_turn_clears_the_junction(road: RoadMap) -> None:
+def test_a_vehicle_standing_in_a_turn_clears_the_junction(road: RoadMap) -> None:
     """From standing at 1.5 m/s² and at most about 4.5 m/s in the bend: over 15 m in 6 s."""
     futures = return_to_lanes(road, vehicles(road, in_the_turn(road)), 0.5)
     assert futures.travelled_m()[0, 1] == pytest.approx(0.5 * 1.5 * 0.5**2, abs=0.02)
@@ -65,21 +65,23 @@ def test_who_stands_in_a_turn_clears_the_junction(road: RoadMap) -> None:
     assert lane == ["CN_0"]
 
 
-def test_it_waits_for_who_comes_towards_it(road: RoadMap) -> None:
-    """At 10 m/s from 20 m away it is across the turn after about 2 s, when the turning vehicle would be, too."""
+def test_it_waits_for_an_oncoming_vehicle(road: RoadMap) -> None:
+    """From 20 m away at 10 m/s it crosses the turn after about 2 s, as the turning vehicle would."""
     oncoming = ("EC_0", road.lanes["EC_0"].length_m - 15.0, 10.0, ("EC", "CW"))
     scene = vehicles(road, in_the_turn(road), oncoming)
     futures = return_to_lanes(road, scene, 0.5)
     alone = return_to_lanes(road, vehicles(road, in_the_turn(road)), 0.5)
     assert futures.travelled_m()[0, 4] < alone.travelled_m()[0, 4] - 1.0
-    assert futures.travelled_m()[1, 4] == pytest.approx(20.0, abs=0.5)  # who is not ours is not slowed
+    assert futures.travelled_m()[1, 4] == pytest.approx(
+        20.0, abs=0.5
+    )  # a vehicle that is not adjustable is not slowed
     near = Futures(
         futures.xy_m[:, :7], futures.yaw_rad[:, :7], futures.speed_mps[:, :7], futures.size_m, futures.dt_s
     )
     assert not touching(near)
 
 
-def test_it_goes_once_the_others_stand(road: RoadMap) -> None:
+def test_it_goes_when_the_others_stand(road: RoadMap) -> None:
     waiting = ("EC_0", road.lanes["EC_0"].length_m - 3.0, 0.0, ("EC", "CW"))
     futures = return_to_lanes(road, vehicles(road, in_the_turn(road), waiting), 0.5)
     assert futures.travelled_m()[0, -1] > 15.0
@@ -87,8 +89,8 @@ def test_it_goes_once_the_others_stand(road: RoadMap) -> None:
     assert not touching(futures)
 
 
-def test_a_plan_counts_more_than_the_present_speed(road: RoadMap) -> None:
-    """Who stands now, and is about to cross at 8 m/s, is waited for; its plan of 2 s is gone on with."""
+def test_the_plan_of_another_vehicle_is_used_instead_of_its_present_speed(road: RoadMap) -> None:
+    """It waits for a vehicle that stands now and plans to cross at 8 m/s; its plan of 2 s is continued."""
     begin = road.lanes["EC_0"].length_m - 8.0
     scene = vehicles(road, in_the_turn(road), ("EC_0", begin, 0.0, ("EC", "CW")))
     now, time = scene.history, 0.5 * np.arange(1, 5)
@@ -111,7 +113,7 @@ def test_a_plan_counts_more_than_the_present_speed(road: RoadMap) -> None:
 
 
 def test_two_that_are_handed_back_pass_each_other(road: RoadMap) -> None:
-    """Left turns towards each other, of which neither is nearer: one goes first, and both get away."""
+    """Left turns towards each other, equally far: one goes first, and both leave the junction."""
     other = inner_lane(road, "EC_0", "CS_0"), 1.0, 0.0, ("EC", "CS")
     straight = inner_lane(road, "EC_0", "CW_0"), 0.0, 0.0, ("EC", "CW")
     for second in (other, straight):
@@ -120,7 +122,7 @@ def test_two_that_are_handed_back_pass_each_other(road: RoadMap) -> None:
         assert not touching(futures)
 
 
-def test_who_is_on_no_lane_stops(road: RoadMap) -> None:
+def test_a_vehicle_on_no_lane_stops(road: RoadMap) -> None:
     """At 6 m/s from 30 m beside the street: 6 m/s² or a little more, over 3 m at most."""
     scene = vehicles(road, ("WC_0", 60.0, 6.0, ("WC", "CE")))
     scene.history.xy_m[:] -= (0.0, 30.0)
@@ -129,7 +131,7 @@ def test_who_is_on_no_lane_stops(road: RoadMap) -> None:
     assert 2.5 <= futures.travelled_m()[0, -1] <= 3.0
 
 
-def test_as_long_as_asked_for(road: RoadMap) -> None:
+def test_futures_are_as_long_as_required(road: RoadMap) -> None:
     scene = vehicles(road, in_the_turn(road))
     assert return_to_lanes(road, scene, 0.5).steps == 12
     assert return_to_lanes(road, scene, 9.9).steps == 20

@@ -26,7 +26,7 @@ __all__ = ["lane"]  # a fixture
         (4.0, 0.0, 0.875),  # beyond the middle of the other lane, 0.75 m: 1.625 − 0.75
         (0.0, np.pi, 1.625),  # the middle of a lane against its direction
         (3.25, np.pi, 0.0),
-        (3.0, 0.5 * np.pi, 0.0),  # who crosses the road at right angles is against nobody
+        (3.0, 0.5 * np.pi, 0.0),  # crosses the road at right angles
     ],
 )
 def test_how_far_a_point_is_over_the_line(
@@ -36,7 +36,7 @@ def test_how_far_a_point_is_over_the_line(
     assert over_line_m(downtown, xy, yaw + turn).tolist() == pytest.approx([depth], abs=2e-3)
 
 
-def test_on_a_junction_only_what_no_lane_along_the_heading_shares_counts(tmp_path: Path) -> None:
+def test_on_a_junction_areas_shared_with_a_lane_along_the_heading_do_not_count(tmp_path: Path) -> None:
     """A crossing of 3.2 m lanes: its centre lines at y = −1.6 lead east, at y = 1.6 west; turns fill its middle."""
     road = RoadMap.read(nets.crossing(tmp_path))
     begin = float(road.junctions["C"].shape_xy_m[:, 0].min())
@@ -45,12 +45,12 @@ def test_on_a_junction_only_what_no_lane_along_the_heading_shares_counts(tmp_pat
     assert depth[0] == 0.0
     assert depth[1] >= 0.6, "of the lane whose edge is at 0; a turn into it may lie nearer"
     assert depth[2] == pytest.approx(1.6, abs=0.02)
-    assert depth[3] == 0.0, "nobody comes towards it there"
+    assert depth[3] == 0.0, "no lane is opposite there"
     turn = next(link for link in road.lanes["WC_0"].successors if link.to_lane == "CN_0")
     for inner in (road.lanes[name] for name in turn.via):
         for left in (-0.9, 0.0, 0.9):
             xy, yaw = inner.line.at(np.linspace(0.0, inner.length_m, 9), left)
-            assert over_line_m(road, xy, yaw).tolist() == [0.0] * 9, "it crosses the lane of the oncoming"
+            assert over_line_m(road, xy, yaw).tolist() == [0.0] * 9, "it crosses an opposite lane"
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,9 @@ def test_plans_over_the_line(downtown: RoadMap, lane: Lane, left: float, speed: 
     assert not drives_against(downtown, plans, ~everybody).any()
 
 
-def test_attackers_may_and_others_go_back_to_their_lane(downtown: RoadMap, lane: Lane) -> None:
+def test_attackers_may_drive_on_the_wrong_side_and_others_return_to_their_lane(
+    downtown: RoadMap, lane: Lane
+) -> None:
     plans = on(lane, 10.0, 6.0, left=2.0)
     free = guarded(downtown, plans, attacks=True)
     np.testing.assert_array_equal(free.futures.xy_m, plans.xy_m)

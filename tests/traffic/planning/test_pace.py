@@ -1,4 +1,4 @@
-"""How briskly natural plans are driven."""
+"""The pace of natural plans."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Street = Callable[..., Scene]
 PLACES, SPEEDS = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0)], [4.0, 7.0, 0.0]
 
 
-def test_who_stands_is_shifted_most_and_attackers_not_at_all() -> None:
+def test_standing_vehicles_are_shifted_most_and_attackers_not_at_all() -> None:
     x = torch.full((1, 5, 1, 2), 3.0)
     speed, share = torch.tensor([[0.0, 4.0, 8.0, 20.0, 0.0]]), torch.tensor([1.0, 1.0, 1.0, 0.5, 0.0])
     shifted = with_pace(x, torch.tensor([[0.0, 1.0]]), speed, share)
@@ -34,7 +34,7 @@ def test_who_stands_is_shifted_most_and_attackers_not_at_all() -> None:
 def test_the_direction_makes_vehicles_of_the_shipped_networks_faster(
     downtown: RoadMap, street: Street
 ) -> None:
-    """In a street, where it was not looked for."""
+    """On a street, not in the scene of the isolated car."""
     policy = DiffusionTraffic(guide="none", temperature=0.0, pace=0.0)
     view = look(downtown, street(PLACES, SPEEDS))
     brisk = policy.options.model_copy(update={"pace": 1.0})
@@ -48,18 +48,18 @@ def test_the_direction_makes_vehicles_of_the_shipped_networks_faster(
     assert np.all(faster[moved] > -0.1)
 
 
-def test_reckless_plans_are_those_of_the_networks_alone() -> None:
+def test_reckless_plans_are_not_shifted() -> None:
     assert DiffusionTraffic(licence="reckless").options.briskness == 0.0
     assert DiffusionTraffic().options.briskness == 1.0
     assert DiffusionTraffic(pace=0.5).options.briskness == 0.5
 
 
-def test_there_is_no_such_direction_where_trajectories_are_diffused() -> None:
+def test_there_is_no_direction_for_diffused_trajectories() -> None:
     direction = faster_latent(new_bundle(BundleOptions.parse({"model": MODEL, "codec": "trajectory"})))
     assert direction.ndim == 2
     assert not direction.any()
 
 
-def test_it_is_the_same_each_time() -> None:
+def test_the_direction_is_deterministic() -> None:
     bundle = load_bundle(shipped_weights())
     assert torch.equal(faster_latent(bundle), faster_latent(bundle))

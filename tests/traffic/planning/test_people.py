@@ -1,4 +1,4 @@
-"""Nobody who is moved drives into people: where they are going to be, and the room they get."""
+"""Moved vehicles do not hit pedestrians: predicted positions and clearance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T, DT = 12, 0.5
 
 
 def walks(xy_m: list[tuple[float, float]], valid: list[bool]) -> Tracks:
-    """Return one pedestrian at 2 Hz who faces east at 1 m/s, wherever it goes."""
+    """Return a pedestrian at 2 Hz with heading east and speed 1 m/s, whatever its positions."""
     steps = len(xy_m)
     return Tracks(
         ids=("p",),
@@ -36,15 +36,15 @@ def walks(xy_m: list[tuple[float, float]], valid: list[bool]) -> Tracks:
     [
         ([True, True, True], (0.0, 1.5)),  # 1.5 m north in the last second
         ([False, True, True], (0.0, 2.0)),  # of which 1 m in its last half
-        ([True, False, True], (1.0, 0.0)),  # nothing is known of its way: along its heading
+        ([True, False, True], (1.0, 0.0)),  # no known past: along its heading
     ],
 )
-def test_people_go_on_as_they_have_moved(valid: list[bool], velocity: tuple[float, float]) -> None:
+def test_pedestrians_keep_their_mean_velocity(valid: list[bool], velocity: tuple[float, float]) -> None:
     assert velocities(walks([(0, 0), (0, 0.5), (0, 1.5)], valid))[0].tolist() == pytest.approx(velocity)
 
 
 def street(beside_m: float, walks_mps: float, faces: float = 0.0) -> Futures:
-    """Return a car at 8 m/s along x, and one on foot 24 m ahead, *beside_m* to its left, who walks to its right."""
+    """Return a car at 8 m/s along x, and a pedestrian 24 m ahead, *beside_m* to its left, who walks to the right."""
     futures = coasting(
         np.array([[0.0, 0.0], [24.0, beside_m]]),
         np.array([0.0, faces]),
@@ -58,7 +58,7 @@ def street(beside_m: float, walks_mps: float, faces: float = 0.0) -> Futures:
 
 
 def braked(futures: Futures, side_m: float = PEOPLE_SIDE_M) -> bool:
-    """Return whether the car gives way, and check that it is clear of who is on foot then."""
+    """Return whether the car brakes, and check that it then does not touch the pedestrian."""
     adjustable, may_brake_for = np.array([True, False]), ~np.eye(2, dtype=np.bool_)
     made = brake(futures, adjustable, may_brake_for, np.full(2, np.inf), np.array([SIDE_M, side_m]))
     assert not made.unsolved.any()
@@ -70,27 +70,27 @@ def braked(futures: Futures, side_m: float = PEOPLE_SIDE_M) -> bool:
 @pytest.mark.parametrize(
     ("beside_m", "walks_mps", "gives_way"),
     [
-        (3.0, 1.0, True),  # in the way after 3 s, when the car would be there
+        (3.0, 1.0, True),  # in the path after 3 s, when the car would be there
         (3.0, 0.0, False),  # stands at the kerb
         (30.0, 1.0, False),  # far from the road
-        (0.0, 0.0, True),  # stands in the way
+        (0.0, 0.0, True),  # stands in the path
     ],
 )
-def test_a_car_gives_way_to_who_walks_into_its_way(
+def test_a_car_brakes_for_a_pedestrian_who_walks_into_its_path(
     beside_m: float, walks_mps: float, gives_way: bool
 ) -> None:
-    """Whatever they face: here along the street, while they walk across it."""
+    """Whatever the heading: here along the street, while the pedestrian walks across it."""
     assert braked(street(beside_m, walks_mps)) == gives_way
 
 
-def test_people_get_more_room_than_cars() -> None:
-    """0.95 + 0.3 m and 0.2 m more: a car would be passed, somebody on foot is not."""
+def test_pedestrians_get_more_clearance_than_cars() -> None:
+    """0.95 + 0.3 m and 0.2 m more: the car would pass another car, but not a pedestrian."""
     futures = street(1.45, 0.0)
     assert not braked(futures, SIDE_M)
     assert braked(futures)
 
 
-def test_only_those_named_go_straight() -> None:
+def test_only_the_given_rows_go_straight() -> None:
     futures = street(3.0, 1.0)
     before = replace(futures, xy_m=futures.xy_m.copy())
     go_straight(futures, np.array([False, False]), np.ones((2, 2)))

@@ -1,4 +1,4 @@
-"""What becomes of a proposal, and how many of its vehicles the safeguard changed."""
+"""The plan made of a proposal, and the number of vehicles that the safeguard changed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLACES = [(60.0, 0.0), (75.0, 0.0), (45.0, 0.0), (90.0, 0.0), (30.0, 0.0)]
 
 
 def proposal(view: View, aside_m: float) -> Drawn:
-    """Return that everybody drives straight on, and the second vehicle *aside_m* to the left of that."""
+    """Return a proposal in which all drive straight on, the second vehicle offset by *aside_m* to the left."""
     x, y, yaw, speed = (value[..., None].expand(-1, -1, 12) for value in view.batch.pose.unbind(-1))
     along, aside = 0.5 * torch.arange(1.0, 13.0) * speed, torch.zeros_like(x)
     aside[0, 1] = aside_m
@@ -47,10 +47,10 @@ def test_plans_that_the_safeguard_changed_are_counted(
 
 
 @pytest.mark.parametrize(("licence", "attackers"), [("lawful", ("v1",)), ("reckless", ("v1", "v4"))])
-def test_whose_proposal_the_licence_refuses_attacks_nobody(
+def test_a_vehicle_whose_proposal_the_licence_refuses_is_no_attacker(
     licence: LicenceName, attackers: tuple[str, ...], downtown: RoadMap, street: Callable[..., Scene]
 ) -> None:
-    """Both keep their speed: the one ahead may, the one behind would run into the target if it braked at 4 m/s²."""
+    """Both keep their speed: the vehicle ahead may, the one behind would hit a target that brakes at 4 m/s²."""
     scene = street(PLACES, [8.0] * 5)
     view, lanes = outlook(downtown, scene)
     drawn = replace(proposal(view, 0.0), attackers=("v1", "v4"))
@@ -58,7 +58,7 @@ def test_whose_proposal_the_licence_refuses_attacks_nobody(
     assert plan.attackers == attackers
 
 
-def test_what_is_left_of_a_plan(downtown: RoadMap, street: Callable[..., Scene]) -> None:
+def test_the_rest_of_a_plan(downtown: RoadMap, street: Callable[..., Scene]) -> None:
     """Twelve half seconds, planned at 0 s; after 5 s in two calls two are left, and the next call is in 5 more."""
     scene = street(PLACES, [8.0] * 5)
     plan = scene.history.rows([1, 2, 3, 4])
@@ -76,8 +76,8 @@ def test_what_is_left_of_a_plan(downtown: RoadMap, street: Callable[..., Scene])
     assert [left(0.0, 0, 4), left(0.7, 0, 4), left(0.5, 0, 1)] == [None] * 3
 
 
-def test_a_plan_is_driven_on_while_somebody_leaves_the_net(road: RoadMap) -> None:
-    """At 8 m/s whoever is within 28 m of the road's end is left to SUMO: 20 m before it, not 60 m."""
+def test_a_plan_is_continued_while_a_vehicle_leaves_the_net(road: RoadMap) -> None:
+    """At 8 m/s a vehicle within 28 m of the road's end is left to SUMO: 20 m before it, not 60 m."""
     dead = [x for x in road.lanes.values() if not x.successors and not x.is_internal and x.length_m > 150.0]
     lane = min(dead, key=lambda x: x.id)
     places = {"target": 100.0, "stays": 60.0, "leaves": 20.0}
@@ -92,12 +92,12 @@ def test_a_plan_is_driven_on_while_somebody_leaves_the_net(road: RoadMap) -> Non
 
 
 def coasted(now: Tracks, steps: int) -> Tracks:
-    """Return *steps* instants in which everybody is where it was last."""
+    """Return *steps* instants at the last positions."""
     arrays = {name: np.repeat(getattr(now, name)[:, -1:], steps, axis=1) for name in TRACK_ARRAYS[2:]}
     return replace(now, **arrays)
 
 
-def test_who_follows_the_target_keeps_back_unless_it_is_reckless(
+def test_followers_of_the_target_keep_a_gap_unless_they_are_reckless(
     downtown: RoadMap, street: Callable[..., Scene]
 ) -> None:
     """At 8 m/s 3 m behind the target: 4 m until the next plan, 4.6 m to stop, less 4.2 m, and a metre are 5.4 m."""

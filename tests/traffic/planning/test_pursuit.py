@@ -1,4 +1,4 @@
-"""Lanes are pursued, and a line is searched from its beginning to beyond its end."""
+"""Pure pursuit of lanes, and the search for the segment of a line, also beyond its ends."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def straight(count: int = 30) -> Lines:
 @pytest.mark.parametrize(
     ("s", "found"), [(-5.0, 10), (0.0, 10), (0.99, 10), (1.0, 11), (12.5, 22), (99.0, 39)]
 )
-def test_a_segment_is_found_and_lines_go_on(s: float, found: int) -> None:
+def test_segments_are_found_also_beyond_the_ends(s: float, found: int) -> None:
     lines = straight()
     row = in_a_row(lines)
     assert segments(lines, row, np.array([3.5, s])).tolist() == [3, found]
     assert segments(lines, row, np.array([[s, s], [0.0, 0.0]]))[:, 1].tolist() == [found, 10]
 
 
-def test_who_is_beside_its_lane_comes_back_and_reaches_the_limit() -> None:
+def test_a_vehicle_beside_its_lane_returns_and_reaches_the_limit() -> None:
     states = np.array([[0.0, 1.0, 0.1, 6.0], [0.0, 0.0, 0.0, 12.0]])
     made = pursue(straight(), states, np.full(2, 0.3), 6.0, 0.25, 24)
     assert abs(made[0, -1, 1]) < 0.1
@@ -35,7 +35,7 @@ def test_who_is_beside_its_lane_comes_back_and_reaches_the_limit() -> None:
     np.testing.assert_allclose(made[1, :, 1:3], 0.0, atol=1e-12)
 
 
-def test_one_among_others_drives_as_alone() -> None:
+def test_a_vehicle_drives_the_same_alone_and_among_others() -> None:
     states = np.array([[0.0, 1.0, 0.1, 6.0], [0.0, 0.5, 0.0, 12.0]])
     lines = straight()
     alone = Lines(*(part[:10] for part in lines[:4]), *(part[:1] for part in lines[4:]))

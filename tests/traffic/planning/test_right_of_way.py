@@ -1,4 +1,4 @@
-"""Who must yield, on a crossing whose street along x has priority."""
+"""Which vehicles must yield, on a crossing whose street along x has priority."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 
 def on_route(road: RoadMap, route: tuple[str, str], inside: bool = False) -> LaneAhead:
-    """Return what lies ahead on the way to the crossing, or on it."""
+    """Return the lanes ahead before the crossing, or on it."""
     lane = road.lanes[f"{route[0]}_0"]
     if inside:
         link = next(x for x in lane.successors if x.to_lane.startswith(route[1]))
@@ -33,9 +33,9 @@ def test_by_the_rows_of_the_net(road: RoadMap, inside: bool) -> None:
     assert made[1].tolist() == [False] * 5
     assert made[2].tolist() == [True, True, False, False, False], "the side road yields to both"
     assert not made[3].any()
-    assert not made[4].any(), "a right turn off the street meets nobody of them"
+    assert not made[4].any(), "a right turn off the street conflicts with none of them"
 
 
-def test_nobody_yields_to_who_drives_off_the_net(road: RoadMap) -> None:
+def test_a_vehicle_that_leaves_the_net_has_no_conflicts(road: RoadMap) -> None:
     leaving = lane_ahead(road.lanes, road.lanes["CE_0"], 10.0, 0.0)
     assert not right_of_way(road, [leaving, on_route(road, ("SC", "CN"))]).any()

@@ -1,4 +1,4 @@
-"""The safeguard on the shipped downtown: off the road, standing, red lights."""
+"""The safeguard on the shipped net downtown: leaving the road, standing vehicles, red lights."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def lane(downtown: RoadMap) -> Lane:
 
 
 def on(lane: Lane, s: float, speed: float, left: float = 0.0, turn: float = 0.0) -> Futures:
-    """Return a parked car 40 m aside as the target, and one on *lane* that goes straight on."""
+    """Return a parked car 40 m aside as the target, and a car on *lane* that drives straight on."""
     xy, yaw = lane.line.at(np.array([s]), left)
     aside = np.array((-np.sin(yaw[0]), np.cos(yaw[0])))
     xy = np.vstack((xy[0] + (40.0 - left) * aside, xy))
@@ -51,7 +51,7 @@ def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
     ]
 
 
-def watched(
+def inputs_of(
     road: RoadMap, futures: Futures, attacks: bool = False, light: str = "G", far_follow_lanes: bool = False
 ) -> SafeguardInput:
     planned = np.arange(futures.agents) > 0
@@ -74,17 +74,17 @@ def watched(
 
 
 def guarded(road: RoadMap, futures: Futures, **how: object) -> SafeguardedPlans:
-    return safeguard(road, futures, watched(road, futures, **how))  # type: ignore[arg-type] # see above
+    return safeguard(road, futures, inputs_of(road, futures, **how))  # type: ignore[arg-type] # see above
 
 
-def test_a_plan_along_the_lane_stays_as_it_is(downtown: RoadMap, lane: Lane) -> None:
+def test_a_plan_along_the_lane_is_unchanged(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, 10.0, 6.0)
     made = guarded(downtown, plans)
     assert not np.any((made.follows_lane, made.held, made.braked, made.unsolved))
     np.testing.assert_array_equal(made.futures.xy_m, plans.xy_m)
 
 
-def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane: Lane) -> None:
+def test_a_plan_off_the_road_is_replaced_by_one_along_the_lane(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, 10.0, 8.0, turn=0.5)
     assert leaves_road(downtown, plans, SECOND, BOTH).tolist() == [False, True]
     made = guarded(downtown, plans)
@@ -95,35 +95,35 @@ def test_a_plan_off_the_road_becomes_one_along_the_lane(downtown: RoadMap, lane:
     assert (np.diff(s) > -0.01).all()
 
 
-def test_a_sound_plan_is_left_alone_however_far_the_target_is(downtown: RoadMap, lane: Lane) -> None:
-    """Half a metre beside the middle of its lane: SUMO gets it back on the lane when it is handed over, no sooner."""
+def test_a_plausible_plan_is_unchanged_at_any_distance_from_the_target(downtown: RoadMap, lane: Lane) -> None:
+    """Half a metre beside the centre of its lane: it returns to the centre only when it is handed back to SUMO."""
     plans = on(lane, 10.0, 4.0, left=0.5)
     for _ in range(3):
         np.testing.assert_array_equal(guarded(downtown, plans).futures.xy_m[1], plans.xy_m[1])
         plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
 
 
-def test_among_reckless_ones_who_is_far_from_the_target_follows_its_lane(
+def test_among_reckless_attackers_vehicles_far_from_the_target_follow_their_lanes(
     downtown: RoadMap, lane: Lane
 ) -> None:
-    """Half a metre beside the middle of its lane; 40 m from the target it stays there, 80 m from it it returns."""
+    """Half a metre beside the centre of its lane; 40 m from the target it stays there, 80 m from it it returns."""
     plans = on(lane, 10.0, 4.0, left=0.5)
     made = guarded(downtown, plans, far_follow_lanes=True)
     np.testing.assert_array_equal(made.futures.xy_m[1], plans.xy_m[1])
     plans.xy_m[0] += plans.xy_m[0] - plans.xy_m[1, :1]
     made = guarded(downtown, plans, far_follow_lanes=True)
-    assert not made.follows_lane.any()  # which counts plans that would have left the road
+    assert not made.follows_lane.any()  # only counts plans that would have left the road
     assert abs(lane.line.project(made.futures.xy_m[1, 6])[1]) < 0.3
 
 
-def test_a_car_that_has_left_the_road_is_no_worse_for_staying(downtown: RoadMap, lane: Lane) -> None:
-    """What is off the road now does not count, as with cars parked on the kerb."""
+def test_a_car_off_the_road_may_stay_there(downtown: RoadMap, lane: Lane) -> None:
+    """The share of the box off the road now does not count, as for cars parked on the kerb."""
     plans = on(lane, 10.0, 0.0, left=-60.0)
     assert not leaves_road(downtown, plans, SECOND, BOTH).any()
 
 
-def test_who_is_off_the_road_does_not_drive_on_beside_it(downtown: RoadMap, lane: Lane) -> None:
-    """60 m beside the lane, where there is none, it stops; 3.5 m beside it, it comes back."""
+def test_a_car_off_the_road_does_not_drive_on_beside_it(downtown: RoadMap, lane: Lane) -> None:
+    """60 m beside the lane it has no lane and stops; 3.5 m beside it, it returns."""
     far, near = on(lane, 10.0, 6.0, left=-60.0), on(lane, 10.0, 6.0, left=-3.5)
     for plans in (far, near):
         assert downtown.off_road_share(boxes(plans))[:7].min() > 0.25
@@ -139,7 +139,7 @@ def boxes(plans: Futures) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("attacks", "share"), [(False, 1.15), (True, 1.5)])
-def test_nobody_drives_faster_than_its_share_of_the_limit(
+def test_no_vehicle_exceeds_its_share_of_the_limit(
     downtown: RoadMap, lane: Lane, attacks: bool, share: float
 ) -> None:
     """At twice the limit within 6 s, towards a green light."""
@@ -148,8 +148,8 @@ def test_nobody_drives_faster_than_its_share_of_the_limit(
     driven = np.append(0.0, np.cumsum(0.5 * DT * (pace[1:] + pace[:-1])))
     plans.xy_m[1], plans.yaw_rad[1] = lane.line.at(5.0 + driven, extrapolate=True)
     plans.speed_mps[1] = pace
-    who = replace(watched(downtown, plans, attacks), is_planned=SECOND)
-    made = safeguard(downtown, plans, who).futures
+    inputs = replace(inputs_of(downtown, plans, attacks), is_planned=SECOND)
+    made = safeguard(downtown, plans, inputs).futures
     on_lane = lane.line.project(made.xy_m[1])[0] < lane.length_m
     assert made.speed_mps[1, on_lane].max() == pytest.approx(share * lane.speed_mps, abs=0.1)
 
@@ -157,64 +157,64 @@ def test_nobody_drives_faster_than_its_share_of_the_limit(
 @pytest.mark.parametrize(
     ("attacks", "has_crept", "goes"), [(True, True, True), (True, False, False), (False, False, True)]
 )
-def test_who_stands_on_a_junction_drives_off_it(
+def test_a_vehicle_standing_on_a_junction_leaves_it(
     downtown: RoadMap, attacks: bool, has_crept: bool, goes: bool
 ) -> None:
-    """Its plan is to stand in the middle of a bend for good; attackers may for two seconds."""
+    """It plans to stand in the middle of a bend for good; attackers may for two seconds."""
     inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
     plans = on(inner, 0.5 * inner.length_m, 0.0)
-    who = replace(watched(downtown, plans, attacks), has_crept=SECOND & has_crept)
-    made = safeguard(downtown, plans, who)
+    inputs = replace(inputs_of(downtown, plans, attacks), has_crept=SECOND & has_crept)
+    made = safeguard(downtown, plans, inputs)
     assert made.held.tolist() == [False, not goes]
     assert (made.futures.travelled_m()[1, -1] > 5.0) == goes
 
 
 @pytest.mark.parametrize(("attacks", "goes"), [(True, False), (False, True)])
-def test_who_creeps_on_a_junction_clears_it(downtown: RoadMap, attacks: bool, goes: bool) -> None:
-    """At 0.8 m/s for two seconds and six more; an attacker may."""
+def test_a_vehicle_creeping_on_a_junction_clears_it(downtown: RoadMap, attacks: bool, goes: bool) -> None:
+    """At 0.8 m/s for two seconds and, as planned, six more; an attacker may."""
     inner = max((x for x in downtown.lanes.values() if x.is_internal), key=lambda x: (x.length_m, x.id))
     plans = on(inner, 0.5 * inner.length_m, 0.8)
-    made = safeguard(downtown, plans, watched(downtown, plans, attacks))
+    made = safeguard(downtown, plans, inputs_of(downtown, plans, attacks))
     assert (made.futures.travelled_m()[1, -1] > 10.0) == goes
     assert made.futures.travelled_m()[1, -1] > 4.7
 
 
 @pytest.mark.parametrize(("attacks", "before_m"), [(False, 5.0), (False, 30.0), (True, 5.0)])
-def test_nobody_but_attackers_stops_on_a_junction(
+def test_only_attackers_stop_on_a_junction(
     downtown: RoadMap, lane: Lane, attacks: bool, before_m: float
 ) -> None:
-    """At 8 m/s, braked with 4 m/s² it stands after 8 m: 3 m over the line, or well before it."""
+    """From 8 m/s with 4 m/s² it stands after 8 m: 3 m over the line, or well before it."""
     plans = on(lane, lane.length_m - before_m, 8.0)
     speed = np.maximum(8.0 - 4.0 * DT * np.arange(T + 1), 0.0)
     driven = np.append(0.0, np.cumsum(0.5 * DT * (speed[1:] + speed[:-1])))
     plans.xy_m[1], plans.yaw_rad[1] = lane.line.at(lane.length_m - before_m + driven, extrapolate=True)
     plans.speed_mps[1] = speed
-    made = safeguard(downtown, plans, watched(downtown, plans, attacks))
+    made = safeguard(downtown, plans, inputs_of(downtown, plans, attacks))
     stops = attacks or before_m > 8.0
     assert (made.futures.travelled_m()[1, -1] == pytest.approx(8.0, abs=0.01)) == stops
     assert (made.futures.travelled_m()[1, -1] > 25.0) != stops
 
 
 @pytest.mark.parametrize(("stood", "brakes"), [(True, False), (False, True)])
-def test_a_target_that_has_stood_is_taken_to_stand(
+def test_a_target_that_has_stood_is_predicted_to_stand(
     downtown: RoadMap, lane: Lane, stood: bool, brakes: bool
 ) -> None:
-    """It stands 4 m beside the lane, and might pull out across it."""
+    """It stands 4 m beside the lane; its prediction pulls out across it."""
     plans = on(lane, 10.0, 8.0)
     aside = plans.xy_m[0, 0] - plans.xy_m[1, 0]
     aside /= np.linalg.norm(aside)
     plans.xy_m[0] = plans.xy_m[1, 3] + np.linspace(4.0, 0.0, T + 1)[:, None] * aside
     plans.yaw_rad[0] = np.arctan2(-aside[1], -aside[0])
-    who = replace(watched(downtown, plans), has_stood=~SECOND & stood)
-    made = safeguard(downtown, plans, who)
+    inputs = replace(inputs_of(downtown, plans), has_stood=~SECOND & stood)
+    made = safeguard(downtown, plans, inputs)
     assert made.braked.tolist() == [False, brakes]
 
 
 @pytest.mark.parametrize(("speed", "held"), [(0.0, True), (0.15, True), (0.3, False)])
-def test_who_stands_and_goes_nowhere_stands_exactly(
+def test_a_standing_vehicle_with_hardly_any_plan_stands_still(
     downtown: RoadMap, lane: Lane, speed: float, held: bool
 ) -> None:
-    """0.15 m/s comes to 0.225 m in 1.5 s."""
+    """0.15 m/s is 0.225 m in 1.5 s."""
     plans = on(lane, 10.0, speed)
     made = guarded(downtown, plans)
     assert made.held.tolist() == [False, held]
@@ -223,8 +223,8 @@ def test_who_stands_and_goes_nowhere_stands_exactly(
         assert (made.futures.speed_mps[1, 1:] == 0.0).all()
 
 
-def test_who_starts_is_not_held(downtown: RoadMap, lane: Lane) -> None:
-    """0.5 m/s² from standing comes to 0.56 m in 1.5 s."""
+def test_a_starting_vehicle_is_not_held(downtown: RoadMap, lane: Lane) -> None:
+    """0.5 m/s² from standing is 0.56 m in 1.5 s."""
     plans = on(lane, 10.0, 0.0)
     time = DT * np.arange(T + 1)
     heading = np.array((np.cos(plans.yaw_rad[1, 0]), np.sin(plans.yaw_rad[1, 0])))
@@ -233,19 +233,19 @@ def test_who_starts_is_not_held(downtown: RoadMap, lane: Lane) -> None:
     assert not guarded(downtown, plans).held.any()
 
 
-def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, lane: Lane) -> None:
-    """2 s of waiting, then 1 m/s²: 0.125 m after 2.5 s is what the first half second becomes."""
+def test_a_vehicle_that_has_stood_and_plans_to_start_later_starts_now(downtown: RoadMap, lane: Lane) -> None:
+    """A wait of 2 s, then 1 m/s²: the 0.125 m up to 2.5 s are driven in the first half second."""
     plans = on(lane, 10.0, 0.0)
     time = np.maximum(DT * np.arange(T + 1) - 2.0, 0.0)
     heading = np.array((np.cos(plans.yaw_rad[1, 0]), np.sin(plans.yaw_rad[1, 0])))
     plans.xy_m[1] += (0.5 * time**2)[:, None] * heading
     plans.speed_mps[1] = time
     plans.speed_mps[1, 0] = 0.0
-    who = watched(downtown, plans)
-    made = safeguard(downtown, plans, who)
+    inputs = inputs_of(downtown, plans)
+    made = safeguard(downtown, plans, inputs)
     assert not made.held.any()
     assert made.futures.travelled_m()[1, :4].tolist() == pytest.approx([0.0, 0.125, 0.5, 1.125])
-    still = safeguard(downtown, plans, replace(who, has_stood=np.zeros(2, dtype=np.bool_)))
+    still = safeguard(downtown, plans, replace(inputs, has_stood=np.zeros(2, dtype=np.bool_)))
     assert still.held[1]
 
 
@@ -256,7 +256,7 @@ def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, la
         ("y", 8.0, False, True),
         ("G", 8.0, False, False),
         ("g", 8.0, False, False),
-        ("r", 8.0, True, False),  # attackers are not bound
+        ("r", 8.0, True, False),  # signals do not bind attackers
         ("y", 14.0, False, False),  # 14² / 44 = 4.5 m/s²: too hard for yellow …
         ("r", 14.0, False, True),  # … but not for red
         ("r", 18.0, False, False),  # 7.4 m/s²: too late
@@ -265,22 +265,22 @@ def test_who_has_stood_and_means_to_start_later_starts_now(downtown: RoadMap, la
 def test_red_lights(
     downtown: RoadMap, lane: Lane, light: str, speed: float, attacks: bool, stops: bool
 ) -> None:
-    """25.3 m before the stop line: less half a length of 2.3 m and a metre to spare, 22 m to go."""
+    """25.3 m before the stop line, less half a length of 2.3 m and a margin of 1 m: 22 m."""
     plans = on(lane, lane.length_m - 25.3, speed)
-    who = watched(downtown, plans, attacks, light)
-    room = stop_distances(plans, who, who.is_planned)[1]
+    inputs = inputs_of(downtown, plans, attacks, light)
+    room = stop_distances(plans, inputs, inputs.is_planned)[1]
     assert (room == pytest.approx(22.0, abs=0.05)) if stops else np.isinf(room)
-    made = safeguard(downtown, plans, who)
+    made = safeguard(downtown, plans, inputs)
     if stops:
-        gone = made.futures.travelled_m()[1, -1]
-        assert gone <= 22.05
+        driven = made.futures.travelled_m()[1, -1]
+        assert driven <= 22.05
         assert made.futures.speed_mps[1, -1] < 2.0
 
 
-def test_who_is_over_the_line_goes_on(downtown: RoadMap, lane: Lane) -> None:
+def test_a_vehicle_over_the_line_continues(downtown: RoadMap, lane: Lane) -> None:
     plans = on(lane, lane.length_m - 1.0, 3.0)
-    who = watched(downtown, plans, light="r")
-    assert np.isinf(stop_distances(plans, who, who.is_planned)).all()
+    inputs = inputs_of(downtown, plans, light="r")
+    assert np.isinf(stop_distances(plans, inputs, inputs.is_planned)).all()
 
 
 def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) -> None:
@@ -303,8 +303,10 @@ def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) ->
     np.testing.assert_array_equal(run([0, 1, 2, 3]), run([3, 1, 0, 2])[[2, 1, 3, 0]])
 
 
-def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lane) -> None:
-    """A new plan at 10 m/s goes 0.6 m to the left into a car that stands 6 m ahead; the one before went past it."""
+def test_a_vehicle_that_cannot_brake_in_time_continues_its_previous_plan(
+    downtown: RoadMap, lane: Lane
+) -> None:
+    """The new plan at 10 m/s, 0.6 m to the left, hits a car that stands 6 m ahead; the previous plan passes it."""
     moving, parked = on(lane, 10.0, 10.0), on(lane, 16.0, 0.0, left=2.2)
     plans = replace(
         moving,
@@ -316,10 +318,10 @@ def test_who_cannot_brake_in_time_goes_on_as_before(downtown: RoadMap, lane: Lan
     s = 10.0 + 5.0 * np.arange(1, T + 1)
     before = *lane.line.at(s), np.full(T, 10.0)
     plans.xy_m[1, 1:], plans.yaw_rad[1, 1:] = lane.line.at(s, 0.6)
-    who = replace(
-        watched(downtown, plans), is_planned=np.array([False, True, False]), lanes=[None, None, None]
+    inputs = replace(
+        inputs_of(downtown, plans), is_planned=np.array([False, True, False]), lanes=[None, None, None]
     )
-    assert safeguard(downtown, plans, who).unsolved.tolist() == [False, True, False]
-    made = safeguard(downtown, plans, replace(who, previous={1: before}))
+    assert safeguard(downtown, plans, inputs).unsolved.tolist() == [False, True, False]
+    made = safeguard(downtown, plans, replace(inputs, previous={1: before}))
     assert not made.unsolved.any()
     np.testing.assert_allclose(made.futures.xy_m[1, 1:7], before[0][:6], atol=1e-9)

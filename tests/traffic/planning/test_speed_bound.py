@@ -1,4 +1,4 @@
-"""Speeds are bounded by a share of the limit, worked by hand on a street made of two lanes."""
+"""Bounds on speeds by a share of the limit, worked by hand on a street of two lanes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def straight_lane(name: str, length_m: float, limit_mps: float) -> Lane:
 
 
 def street(length_m: float) -> LaneAhead:
-    """Return 100 m ahead at 10 m/s, less what is driven of it, then at 5 m/s; *length_m* of the first is left."""
+    """Return a lane of 100 m with limit 10 m/s, *length_m* of it ahead, then a lane with limit 5 m/s."""
     lanes = tuple(straight_lane(name, 100.0, limit) for name, limit in LIMITS.items())
     return LaneAhead(100.0 - length_m, lanes, 10.0, (), np.inf, 0.0)
 
@@ -52,12 +52,12 @@ def bounded(speed_mps: float, lane: LaneAhead | None, share: float = 1.0) -> Fut
     return futures
 
 
-def test_a_plan_within_the_bound_stays_to_the_bit() -> None:
+def test_a_plan_within_the_bound_is_unchanged() -> None:
     made = bounded(11.4, street(100.0), 1.15)
     np.testing.assert_array_equal(made.xy_m, plan(11.4).xy_m)
 
 
-def test_who_is_too_fast_comes_down_by_easing_off() -> None:
+def test_a_vehicle_that_is_too_fast_slows_down_gently() -> None:
     """From 14 m/s at 2.5 m/s² to 11.5: after 1 s, in which 12.75 m are driven."""
     made = bounded(14.0, street(100.0), 1.15)
     assert made.speed_mps[0, :4].tolist() == pytest.approx([14.0, 12.75, 11.5, 11.5])
@@ -65,7 +65,7 @@ def test_who_is_too_fast_comes_down_by_easing_off() -> None:
     assert (made.xy_m[0, :, 1] == 0.0).all()
 
 
-def test_a_lower_limit_is_met_where_it_begins() -> None:
+def test_a_lower_limit_is_kept_from_its_beginning_on() -> None:
     """From 10 to 5 m/s at 2.5 m/s² takes 15 m: at 30 m, 15 m are driven as planned."""
     assert allowed_mps(
         np.array([0.0, 30.0]), np.array([10.0, 5.0]), np.array([0.0, 15.0, 22.5, 30.0, 40.0])
@@ -79,11 +79,11 @@ def test_a_lower_limit_is_met_where_it_begins() -> None:
 
 
 @pytest.mark.parametrize(("left_m", "speed"), [(50.0, 10.0), (5.0, np.sqrt(50.0)), (0.0, 5.0), (-5.0, 5.0)])
-def test_who_follows_its_lane_comes_down_in_time_to_what_is_ahead(left_m: float, speed: float) -> None:
-    """5 m before a lane of 5 m/s, 2.5 m/s² allow √(25 + 2 · 2.5 · 5) m/s; past its beginning it holds."""
+def test_a_vehicle_that_follows_its_lane_slows_down_in_time(left_m: float, speed: float) -> None:
+    """5 m before a lane of 5 m/s, 2.5 m/s² allow √(25 + 2 · 2.5 · 5) m/s; beyond its beginning, its limit."""
     assert approach_mps(street(left_m)) == pytest.approx(speed)
 
 
-def test_who_is_on_no_lane_does_not_speed_up() -> None:
+def test_a_vehicle_on_no_lane_does_not_accelerate() -> None:
     assert bounded(4.0, None).speed_mps[0, -1] == 4.0
     assert bounded(9.0, None).speed_mps[0, -1] == pytest.approx(NO_LANE_MPS)

@@ -1,4 +1,4 @@
-"""The way off a junction of a vehicle that no lane leads along."""
+"""The exit lane of a vehicle on a junction along whose heading no lane leads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.planning.way_out import way_out
 
 @pytest.fixture(scope="module")
 def askew(downtown: RoadMap) -> tuple[np.ndarray, float]:
-    """Return a place on a junction and a heading from which every lane there turns by over 1.2 rad."""
+    """Return a position on a junction and a heading that differs by over 1.2 rad from every lane there."""
     for lane in (x for x in downtown.lanes.values() if x.is_internal and x.is_drivable):
         xy, along = lane.line.at(2.0)
         for turn in (1.4, 1.8):
@@ -24,7 +24,7 @@ def askew(downtown: RoadMap) -> tuple[np.ndarray, float]:
     pytest.fail("every heading on every junction has a lane")
 
 
-def test_who_stands_askew_drives_to_the_beginning_of_a_lane_ahead(
+def test_a_vehicle_across_all_lanes_drives_to_the_beginning_of_an_exit_lane(
     downtown: RoadMap, askew: tuple[np.ndarray, float]
 ) -> None:
     xy, yaw = askew
@@ -39,7 +39,7 @@ def test_who_stands_askew_drives_to_the_beginning_of_a_lane_ahead(
     assert speed[0, -1] > 2.0
 
 
-def test_there_is_none_away_from_junctions(downtown: RoadMap) -> None:
+def test_there_is_no_exit_lane_off_junctions(downtown: RoadMap) -> None:
     lane = max((x for x in downtown.lanes.values() if not x.is_internal), key=lambda x: (x.length_m, x.id))
     xy, yaw = lane.line.at(0.5 * lane.length_m)
     assert way_out(downtown, xy, float(yaw)) is None

@@ -15,7 +15,7 @@ __all__ = ["downtown", "one_thread", "street", "weights"]
 
 
 def actor(shift: float) -> Actor:
-    """Return an actor with some weights, that deviates by about *shift* everywhere; 0: none at all."""
+    """Return an actor that deviates by about *shift* everywhere; 0: not at all."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(4)
         net = ActorNet((16,))

@@ -1,4 +1,4 @@
-"""The background policy adv-rl: what holds whatever its weights are."""
+"""Properties of the background policy adv-rl that hold for all weights."""
 
 from __future__ import annotations
 
@@ -61,7 +61,9 @@ def test_it_keeps_the_contract(
     assert check_policy(made, downtown, street(PLACES, SPEEDS), None) == []
 
 
-def test_untrained_it_is_the_behaviour_model(actor_file: Files, downtown: RoadMap, street: Street) -> None:
+def test_untrained_it_equals_the_behaviour_model(
+    actor_file: Files, downtown: RoadMap, street: Street
+) -> None:
     """With no training and with strength 0 the plan is the behaviour model's, to the bit; otherwise it is not.
 
     With the shipped traffic model: what untrained networks plan leaves the road, and the safeguard makes it all one.
@@ -79,7 +81,7 @@ def test_untrained_it_is_the_behaviour_model(actor_file: Files, downtown: RoadMa
 def test_with_strength_0_no_licence_changes_the_behaviour_model(
     licence: str, actor_file: Files, weights: str, downtown: RoadMap, street: Street
 ) -> None:
-    """The behaviour model's plan with untrained weights, as the safeguard leaves it, where nobody attacks."""
+    """The plan is that of the behaviour model with untrained weights, after the safeguard, without an attacker."""
     scene = street([(60.0, 0.0), (70.0, -2.5), (90.0, 0.0)], [8.0, 4.0, 6.0])
     made = policy(actor_file, weights, 0.7, strength=0.0, licence=licence)
     view, lanes = background_plan.outlook(downtown, scene, made.prior.options.map_view)
@@ -104,7 +106,7 @@ def test_only_the_attacker_deviates(actor_file: Files, downtown: RoadMap, street
     assert deviating == set(memory.attackers)
 
 
-def test_the_safeguard_knows_the_plan_before(
+def test_the_safeguard_gets_the_previous_plan(
     actor_file: Files, downtown: RoadMap, street: Street, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, rng = street(PLACES, SPEEDS), np.random.default_rng(0)
@@ -126,7 +128,7 @@ def test_the_safeguard_knows_the_plan_before(
     assert [steps for _, steps in given[2:]] == [1, 2]
 
 
-def test_an_actor_survives_its_file(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_an_actor_is_unchanged_by_saving_and_loading(tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("actor") / "a.safetensors"
     made = actor(0.4)
     save_actor(made, path)
@@ -169,7 +171,7 @@ def test_bad_options_and_files_are_refused(
             load_actor(path)
 
 
-def test_it_drives_without_the_packages_that_trained_it(actor_file: Files, weights: str) -> None:
+def test_it_drives_without_the_packages_for_training(actor_file: Files, weights: str) -> None:
     code = (
         "import sys\n"
         "sys.modules['gymnasium'] = sys.modules['stable_baselines3'] = None\n"

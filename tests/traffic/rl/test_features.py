@@ -1,4 +1,4 @@
-"""What an attacker observes, worked out by hand on a straight lane of a shipped net."""
+"""The observation of an attacker, worked by hand on a straight lane of a shipped net."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OWN, LANE, TARGET = slice(0, 7), slice(7, 14), slice(14, 36)
 
 
 def seen(road: RoadMap, scene: Scene, row: int = 1) -> np.ndarray:
-    """Return what the vehicle in *row* of the view observes when everybody keeps velocity."""
+    """Return the observation of the vehicle in *row* of the view if all vehicles keep their velocity."""
     view = look(road, scene)
     now = view.now
     futures = coasting(
@@ -34,7 +34,7 @@ def seen(road: RoadMap, scene: Scene, row: int = 1) -> np.ndarray:
 
 
 def test_a_vehicle_behind_the_target(downtown: RoadMap, street: Street) -> None:
-    """12 m behind, 0.5 m to the left of the lane, 2 m/s faster; nobody else is there."""
+    """12 m behind, 0.5 m to the left of the lane, 2 m/s faster; there are no others."""
     found = seen(downtown, street([(60.0, 0.0), (48.0, 0.5)], [8.0, 10.0]))
     assert found.shape == (FEATURES,)
     assert found[OWN] == pytest.approx([1.0, 0.0, 0.0, 0.92, 0.95, 0.1, 0.5], abs=1e-9)
@@ -62,7 +62,7 @@ def test_the_nearest_others_come_first(downtown: RoadMap, street: Street) -> Non
     assert (others[:, 6] == 1.0).all()
 
 
-def test_off_the_lanes_and_without_a_past_it_is_still_finite(downtown: RoadMap, street: Street) -> None:
+def test_it_is_finite_off_the_lanes_and_without_a_past(downtown: RoadMap, street: Street) -> None:
     scene = street([(60.0, 0.0), (48.0, 0.0)], [8.0, 10.0])
     valid = scene.history.valid.copy()
     valid[1, :-1] = False
@@ -84,7 +84,7 @@ def test_off_the_lanes_and_without_a_past_it_is_still_finite(downtown: RoadMap, 
     assert (observe(downtown, now, futures, 1, None, (0.0, 0.0))[LANE][:6] == 0.0).all()
 
 
-def test_nobody_attacks_where_nobody_can(downtown: RoadMap, street: Street, weights: str) -> None:
+def test_there_is_no_attacker_if_none_can_attack(downtown: RoadMap, street: Street, weights: str) -> None:
     scene = street([(60.0, 0.0), (75.0, 0.0)], [8.0, 7.0])
     alone = replace(scene, movable=np.zeros(2, dtype=np.bool_))
     prior = load_prior("traffic", weights)
@@ -94,7 +94,7 @@ def test_nobody_attacks_where_nobody_can(downtown: RoadMap, street: Street, weig
     assert situation(downtown, scene, prior, 1, (), "reckless").attackers == ("v1",)
 
 
-def test_the_attacker_of_before_stays(downtown: RoadMap, street: Street, weights: str) -> None:
+def test_the_previous_attacker_is_kept(downtown: RoadMap, street: Street, weights: str) -> None:
     scene = street([(60.0, 0.0), (72.0, 0.0), (46.0, 0.0)], [8.0, 8.0, 8.0])
     prior = load_prior("traffic", weights)
     assert Path(weights).exists()

@@ -1,4 +1,4 @@
-"""Deviations from a natural plan, worked out by hand."""
+"""Deviations from a natural plan, worked by hand."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def batch(speeds: list[float]) -> SceneBatch:
 
 
 def natural(scene: SceneBatch, accel: float = 0.0, curvature: float = 0.0) -> Rollout:
-    """Return the futures of vehicles that all do the same all the time."""
+    """Return the futures of vehicles with the same constant actions."""
     pose = scene.pose
     motion = pose[..., :2], pose[..., 2], pose[..., 3]
     push, turn = torch.full_like(motion[1], accel), torch.full_like(motion[1], curvature)
@@ -61,7 +61,7 @@ def one(scene: SceneBatch, plan: Rollout, residual: tuple[float, float], row: in
 
 
 @pytest.mark.parametrize(("accel", "curvature"), [(0.0, 0.0), (1.3, 0.02), (-3.0, -0.05)])
-def test_no_deviation_is_the_natural_plan_to_the_bit(accel: float, curvature: float) -> None:
+def test_no_deviation_is_exactly_the_natural_plan(accel: float, curvature: float) -> None:
     scene = batch([8.0, 10.0])
     plan = natural(scene, accel, curvature)
     made = one(scene, plan, (0.0, 0.0))
@@ -69,7 +69,7 @@ def test_no_deviation_is_the_natural_plan_to_the_bit(accel: float, curvature: fl
         assert torch.equal(getattr(made, name), getattr(plan, name)), name
 
 
-def test_half_a_push_is_two_metres_a_second_squared_for_half_a_second() -> None:
+def test_an_action_of_one_half_is_2_mps2_for_half_a_second() -> None:
     scene = batch([8.0, 10.0])
     made = one(scene, natural(scene), (0.5, 0.0))
     assert made.accel[0, 1].tolist() == [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -77,8 +77,8 @@ def test_half_a_push_is_two_metres_a_second_squared_for_half_a_second() -> None:
     assert made.xy[0, 1, 0, 0].item() == pytest.approx(10.0 * 0.5 + 0.5 * 2.0 * 0.25)
 
 
-def test_a_full_turn_is_three_metres_a_second_squared_sideways_and_then_taken_back() -> None:
-    """At 10 m/s κ = 3 / 10² = 0.03; in 5 m of way that is 0.15 rad, of which half is left after each step."""
+def test_a_full_turn_is_3_mps2_of_lateral_acceleration_and_is_corrected_later() -> None:
+    """At 10 m/s κ = 3 / 10² = 0.03; over 5 m that is 0.15 rad, of which half remains after each step."""
     scene = batch([8.0, 10.0])
     made = one(scene, natural(scene), (0.0, 1.0))
     assert made.curvature[0, 1, 0].item() == pytest.approx(0.03)

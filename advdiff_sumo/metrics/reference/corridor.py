@@ -1,4 +1,4 @@
-"""The others in the frame of a reference driver's way: along it, across it, and when they will be in it."""
+"""Project other road users onto a reference driver's way and predict when they will occupy its corridor."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from advdiff_sumo.metrics.reference.driver_models import CRITICAL_TTC_S, HUMAN, 
 from advdiff_sumo.metrics.reference.others_paths import LOOK_STEP_S, PERCEPTION_S, Expected, look_times
 from advdiff_sumo.metrics.reference.own_way import OwnWay
 
-#: Time that must lie between the ego and somebody with the right of way at a conflict area.
+#: Least time gap at a conflict area between the ego and a road user with the right of way.
 YIELD_GAP_S = 1.0
 
 
 @dataclass(frozen=True)
 class Corridor:
-    """N others at K instants, and at the H instants ahead of each, in the frame of the way.
+    """N other road users in the frame of the way, at K instants and at H look-ahead instants after each.
 
     Attributes:
         rows: (N,) rows of the record.
         along_m: (K, N, H) expected centres along the way.
         half_m: (K, N, H) half the extent of the boxes along the way.
-        clear_m: (K, N, H) gap across the way between the box and a box that drives on it; negative: overlap.
+        clear_m: (K, N, H) gap across the way between the box and a box that drives on the way; negative: overlap.
         speed_mps: (K, N) speed along the way.
         approach_mps: (K, N) speed at which the lateral gap closes.
         length_m: (N,) lengths of the boxes.
@@ -41,14 +41,14 @@ class Corridor:
 
 @dataclass(frozen=True)
 class Meeting:
-    """The ego and each of N others at one instant, if all went on as they do.
+    """The ego and each of N others at one instant, extrapolated with their present motion.
 
     Attributes:
         situation: (N,) the one-dimensional encounters.
-        inside: (N,) overlaps with the corridor now, ahead of the ego.
-        crossing: (N,) does not overlap with it yet, but will when the ego is there.
-        meet_s: (N,) time until the boxes meet; inf for never within the look-ahead.
-        conflict: (N,) will be in the corridor at about the time at which the ego is there.
+        inside: (N,) whether the other overlaps with the corridor now, ahead of the ego.
+        crossing: (N,) whether it does not overlap with the corridor yet, but will when the ego is there.
+        meet_s: (N,) time until the boxes meet; inf if they do not within the look-ahead.
+        conflict: (N,) whether it will be in the corridor at about the time at which the ego is there.
     """
 
     situation: Situation
@@ -64,129 +64,128 @@ def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, w
     Args:
         way: the way.
         tracks: the agents at the K instants.
-        rows: whom to look at.
-        future: what is expected of them.
+        rows: rows of the others.
+        future: their expected motion.
         width_m: width of the ego.
     """
-    half = 0.5 * tracks.size_m[rows]
-    along, across, turn = _in_frame(way, future)
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    extent = half[:, None, 0] * cos + half[:, None, 1] * sin
-    breadth = half[:, None, 0] * sin + half[:, None, 1] * cos
-    clear = np.abs(across) - breadth - 0.5 * width_m
-    now = clear[:, :, 0]
-    ahead = np.diff(now, axis=0, append=now[-1:])  # a lateral speed holds from its instant on
-    rate = np.where(np.isfinite(ahead), ahead, 0.0) / tracks.dt_s
+    half_size = 0.5 * tracks.size_m[rows]
+    along, across, relative_yaw = _in_frame(way, future)
+    cos, sin = np.abs(np.cos(relative_yaw)), np.abs(np.sin(relative_yaw))
+    half_along = half_size[:, None, 0] * cos + half_size[:, None, 1] * sin
+    half_across = half_size[:, None, 0] * sin + half_size[:, None, 1] * cos
+    clear = np.abs(across) - half_across - 0.5 * width_m
+    present = clear[:, :, 0]
+    change = np.diff(present, axis=0, append=present[-1:])  # forward difference: from an instant to the next
+    rate = np.where(np.isfinite(change), change, 0.0) / tracks.dt_s
     if len(rate) > 1:
         rate[-1] = rate[-2]
-    speed = tracks.speed_mps[rows].T * np.cos(turn[:, :, 0])
-    return Corridor(rows, along, extent, clear, speed, -rate, tracks.size_m[rows, 0])
+    speed = tracks.speed_mps[rows].T * np.cos(relative_yaw[:, :, 0])
+    return Corridor(rows, along, half_along, clear, speed, -rate, tracks.size_m[rows, 0])
 
 
 def _in_frame(way: OwnWay, future: Expected) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return places along and across *way* and headings against it, (K, N, H) each.
+    """Return positions along and across *way* and headings relative to it, (K, N, H) each.
 
-    Every other instant ahead is projected, those between lie halfway.
+    Every second look-ahead instant is projected. The instants between are interpolated.
     """
     along, across = way.line.project(future.xy_m[:, :, ::2], extrapolate=True)
-    turn = future.yaw_rad[:, :, ::2] - way.line.at(along)[1]
-    return _halved(along), _halved(across), _halved(np.unwrap(turn, axis=-1))
+    relative_yaw = future.yaw_rad[:, :, ::2] - way.line.at(along)[1]
+    return _with_midpoints(along), _with_midpoints(across), _with_midpoints(np.unwrap(relative_yaw, axis=-1))
 
 
-def _halved(values: FloatArray) -> FloatArray:
-    """Return *values* (…, M) with the means of neighbours between them, (…, 2 M − 1)."""
-    out = np.empty((*values.shape[:-1], 2 * values.shape[-1] - 1))
-    out[..., ::2] = values
-    out[..., 1::2] = 0.5 * (values[..., 1:] + values[..., :-1])
-    return out
+def _with_midpoints(values: FloatArray) -> FloatArray:
+    """Return *values* (…, M) with the means of neighbours inserted between them, (…, 2 M − 1)."""
+    result = np.empty((*values.shape[:-1], 2 * values.shape[-1] - 1))
+    result[..., ::2] = values
+    result[..., 1::2] = 0.5 * (values[..., 1:] + values[..., :-1])
+    return result
 
 
 def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], length_m: float) -> Meeting:
-    """Return how the ego stands to each other at *instant*.
+    """Return the relation of the ego to each other road user at *instant*.
 
     Args:
         corridor: the others.
-        instant: which of the K instants.
-        ego: place of its centre along the way, speed, acceleration.
+        instant: index of one of the K instants.
+        ego: position of its centre along the way, speed, acceleration.
         length_m: its length.
     """
     s, v, a = ego
     times = look_times()
     along, half, clear = corridor.along_m[instant], corridor.half_m[instant], corridor.clear_m[instant]
-    gap = along - half - (s + v * times + 0.5 * length_m)  # (N, H) bumper to bumper if all go on
-    behind = s + v * times - 0.5 * length_m - (along + half)
-    across = clear <= TIE_M
+    gap = along - half - (s + v * times + 0.5 * length_m)  # (N, H) the ego's front to the other's rear
+    gap_behind = s + v * times - 0.5 * length_m - (along + half)  # the other's front to the ego's rear
+    in_corridor = clear <= TIE_M
     with np.errstate(invalid="ignore"):
-        ahead = along[:, 0] + half[:, 0] > s + 0.5 * length_m
-    meet = _meeting_s((clear - TIE_M, gap, behind))
-    lateral, d = clear[:, 0], gap[:, 0]
-    inside = across[:, 0] & ahead
-    crossing = ~across[:, 0] & np.isfinite(meet) & _in_front(meet, along - (s + v * times))
-    closing = np.maximum(v - np.maximum(corridor.speed_mps[instant], 0.0), 1e-3)
+        is_ahead = along[:, 0] + half[:, 0] > s + 0.5 * length_m
+    meet_s = _first_overlap_s((clear - TIE_M, gap, gap_behind))
+    inside = in_corridor[:, 0] & is_ahead
+    crossing = ~in_corridor[:, 0] & np.isfinite(meet_s) & _in_front(meet_s, along - (s + v * times))
+    speed = corridor.speed_mps[instant]
+    closing = np.maximum(v - np.maximum(speed, 0.0), 1e-3)
     situation = Situation(
-        ego_mps=np.full(len(d), v),
-        ego_accel_mps2=np.full(len(d), a),
-        other_mps=np.where(
-            crossing, np.maximum(corridor.speed_mps[instant], 0.0), corridor.speed_mps[instant]
-        ),
-        gap_m=np.where(crossing, closing * np.where(crossing, meet, 0.0), d),
-        lateral_gap_m=np.where(crossing, 0.0, lateral),
+        ego_mps=np.full(len(gap), v),
+        ego_accel_mps2=np.full(len(gap), a),
+        other_mps=np.where(crossing, np.maximum(speed, 0.0), speed),
+        gap_m=np.where(crossing, closing * np.where(crossing, meet_s, 0.0), gap[:, 0]),
+        lateral_gap_m=np.where(crossing, 0.0, clear[:, 0]),
         lateral_mps=np.where(crossing, 0.0, corridor.approach_mps[instant]),
         lengths_m=corridor.length_m + length_m,
     )
-    slack = YIELD_GAP_S * v
-    conflict = (across & (gap <= slack) & (behind <= slack)).any(-1)
-    return Meeting(situation, inside, crossing, meet, conflict)
+    margin_m = YIELD_GAP_S * v
+    conflict = (in_corridor & (gap <= margin_m) & (gap_behind <= margin_m)).any(-1)
+    return Meeting(situation, inside, crossing, meet_s, conflict)
 
 
-def _meeting_s(excesses_m: tuple[FloatArray, ...]) -> FloatArray:
-    """Return (N,) the first time at which all *excesses_m* (N, H) are 0 or less; inf for never, NaN counts as above.
+def _first_overlap_s(gaps_m: tuple[FloatArray, ...]) -> FloatArray:
+    """Return (N,) the first time at which all *gaps_m* (N, H) are 0 or less; inf if there is none.
 
-    They are taken to change evenly between two instants looked at, so that the time does not hang on where
-    those lie.
+    NaN counts as a gap above 0. Gaps are interpolated linearly between two look-ahead instants, so that the time does
+    not depend on where these lie.
     """
-    begin, end = np.zeros_like(excesses_m[0][:, 1:]), np.ones_like(excesses_m[0][:, 1:])
-    for excess in excesses_m:
-        before, after = excess[:, :-1], excess[:, 1:]
+    begin, end = np.zeros_like(gaps_m[0][:, 1:]), np.ones_like(gaps_m[0][:, 1:])
+    for gap in gaps_m:
+        before, after = gap[:, :-1], gap[:, 1:]
         with np.errstate(invalid="ignore", divide="ignore"):
             root = before / (before - after)
             begin = np.maximum(begin, np.where(before <= 0.0, 0.0, np.where(after <= 0.0, root, np.inf)))
             end = np.minimum(end, np.where(after <= 0.0, 1.0, np.where(before <= 0.0, root, -np.inf)))
-    meets = begin <= end
-    first = np.argmax(meets, axis=-1)
-    return np.where(meets.any(-1), LOOK_STEP_S * (first + begin[np.arange(len(first)), first]), np.inf)
+    overlaps = begin <= end
+    first = np.argmax(overlaps, axis=-1)
+    return np.where(overlaps.any(-1), LOOK_STEP_S * (first + begin[np.arange(len(first)), first]), np.inf)
 
 
 def _in_front(meet_s: FloatArray, ahead_m: FloatArray) -> BoolArray:
-    """Return (N,) whether the other's centre is ahead when they meet: braking may help.
+    """Return (N,) whether the other's centre is ahead of the ego's when they meet, so that braking may help.
 
     Args:
-        meet_s: (N,) when they meet; inf for never.
-        ahead_m: (N, H) how far its centre is ahead of the ego's.
+        meet_s: (N,) time until they meet; inf for never.
+        ahead_m: (N, H) distance of its centre ahead of the ego's.
     """
-    place = np.where(np.isfinite(meet_s), meet_s, 0.0) / LOOK_STEP_S
-    first = np.minimum(place.astype(np.int64), ahead_m.shape[-1] - 2)
-    row, share = np.arange(len(first)), place - first
-    return np.asarray((1.0 - share) * ahead_m[row, first] + share * ahead_m[row, first + 1] > 0.0)
+    position = np.where(np.isfinite(meet_s), meet_s, 0.0) / LOOK_STEP_S
+    index = np.minimum(position.astype(np.int64), ahead_m.shape[-1] - 2)
+    row, share = np.arange(len(index)), position - index
+    return np.asarray((1.0 - share) * ahead_m[row, index] + share * ahead_m[row, index + 1] > 0.0)
 
 
 def demands(
-    driver: DriverModel, met: Meeting, reacting: bool = False, leader_s: float = PERCEPTION_S
+    driver: DriverModel, meetings: Meeting, reacting: bool = False, leader_s: float = PERCEPTION_S
 ) -> FloatArray:
-    """Return (N,) the braking in m/s² that *driver* wants for each other; 0 where it calls the situation safe.
+    """Return (N,) the deceleration in m/s² that *driver* requires for each other; 0 where the situation is safe.
 
-    The human driver's criteria are those of the regulation: somebody who is about to cross or enter is critical
-    from ``CRITICAL_TTC_S`` on; somebody ahead in its lane is a risk once perceived, until it no longer closes in.
+    The human driver follows the regulation's criteria. A road user that is about to cross or enter is critical if the
+    time until they meet is at most ``CRITICAL_TTC_S``. One ahead in the lane is a risk once it is perceived, until the
+    ego no longer closes in.
 
     Args:
         driver: the model.
-        met: how the ego stands to the others.
+        meetings: relation of the ego to the others.
         reacting: whether the driver has begun to react.
-        leader_s: from what time to a meeting on the human driver perceives somebody ahead in its lane.
+        leader_s: time to a meeting from which the human driver perceives a road user ahead in its lane.
     """
-    demand = driver.demand(met.situation)
+    demand = driver.demand(meetings.situation)
     if driver is not HUMAN:
         return demand
-    closing = met.inside & (met.situation.closing_mps > 0.0)
-    leading = (met.meet_s <= leader_s) | (reacting & closing)
-    return np.where(np.where(met.crossing, met.meet_s <= CRITICAL_TTC_S, leading), demand, 0.0)
+    closing = meetings.inside & (meetings.situation.closing_mps > 0.0)
+    perceived = (meetings.meet_s <= leader_s) | (reacting & closing)
+    return np.where(np.where(meetings.crossing, meetings.meet_s <= CRITICAL_TTC_S, perceived), demand, 0.0)

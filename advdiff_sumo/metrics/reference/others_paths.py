@@ -1,4 +1,4 @@
-"""Where others would be if they went on as they do: present speed, along their lanes."""
+"""Predict other road users: each keeps its speed or braking and follows its lane."""
 
 from __future__ import annotations
 
@@ -13,18 +13,23 @@ from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.maps import Link, RoadMap
 
-#: How far ahead in time a reference driver looks.
+#: Look-ahead time of a reference driver.
 PERCEPTION_S = 5.0
-#: Spacing of the instants looked at.
+#: Spacing of the look-ahead instants.
 LOOK_STEP_S = 0.25
-_PLACE_EVERY_S = 0.5
+#: Lanes are looked up at this interval.
+_LANE_EVERY_S = 0.5
+# A road user farther off its lane than this, in heading or laterally, goes straight on.
 _MAX_YAW_ERROR_RAD, _MAX_OFFSET_M = 0.9, 2.6
-_CHAIN_M = 120.0
+#: The line along lanes is at least this long beyond the first lane, where the net allows it.
+_AHEAD_M = 120.0
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Futures of N others as seen at each of K instants; H instants ahead, ``LOOK_STEP_S`` apart, now first.
+    """Predicted motion of N others from each of K instants, at H look-ahead instants.
+
+    The look-ahead instants are ``LOOK_STEP_S`` apart; the first one is the present.
 
     Attributes:
         xy_m: (K, N, H, 2) centres; NaN where the other is absent.
@@ -38,7 +43,7 @@ class Expected:
 
 
 def look_times() -> FloatArray:
-    """Return (H,) the instants ahead that are looked at, from 0 to ``PERCEPTION_S``."""
+    """Return (H,) the times of the look-ahead instants, from 0 to ``PERCEPTION_S``."""
     return np.arange(0.0, PERCEPTION_S + 0.5 * LOOK_STEP_S, LOOK_STEP_S)
 
 
@@ -49,81 +54,85 @@ def expected(
     accel_mps2: FloatArray,
     ahead: Sequence[frozenset[str]] | None = None,
 ) -> Expected:
-    """Return what can be expected of agents *rows* (N,) at every instant of *tracks*.
+    """Return the predicted motion of agents *rows* (N,) from every instant of *tracks*.
 
-    Speeds are kept; whoever brakes goes on braking to a stop. At junctions everybody takes the connection that
-    *tracks* show, as its indicator would say; changes of lanes are not foreseen. Pedestrians, and whoever is
-    off the lanes or askew, go straight on.
+    Agents keep their speed; one that brakes continues to brake to a stop. At a junction each takes the connection that
+    *tracks* show, as its indicator would tell. Lane changes are not predicted. Pedestrians, and vehicles that are off
+    the lanes or at an angle to them, go straight on.
 
     Args:
         road: the map.
         tracks: A agents, K instants.
-        rows: (N,) whom to look at.
+        rows: (N,) rows of the agents to predict.
         accel_mps2: (N, K) their accelerations.
         ahead: N sets of lanes that each is known to be on later, where *tracks* do not show it.
     """
     steps, count = tracks.steps, len(rows)
-    driven = _driven_m(tracks.speed_mps[rows], accel_mps2)  # (N, K, H)
-    xy = np.empty((count, steps, driven.shape[-1], 2))
-    yaw = np.empty(driven.shape)
+    driven_m = _driven_m(tracks.speed_mps[rows], accel_mps2)  # (N, K, H)
+    xy = np.empty((count, steps, driven_m.shape[-1], 2))
+    yaw = np.empty(driven_m.shape)
     lanes = _lanes(road, tracks, rows)
     links = []
     for n, row in enumerate(rows.tolist()):
         heading = tracks.yaw_rad[row]
-        xy[n] = tracks.xy_m[row, :, None] + driven[n, ..., None] * unit(heading)[:, None]
+        xy[n] = tracks.xy_m[row, :, None] + driven_m[n, ..., None] * unit(heading)[:, None]
         yaw[n] = heading[:, None]
-        known: dict[tuple[str, str], Link] = {}
+        own_links: dict[tuple[str, str], Link] = {}
         visited = frozenset(x for x in lanes[n] if x is not None)
         known_lanes = visited | (ahead[n] if ahead is not None else frozenset())
         for lane in sorted(visited):
-            here = np.array([x == lane for x in lanes[n]]) & tracks.valid[row]
-            line, taken = _chain(road, lane, known_lanes)
-            known |= {(x.from_lane, x.to_lane): x for x in taken}
-            s, d = line.project(tracks.xy_m[row, here], extrapolate=True)
-            at, along = line.at(s[:, None] + driven[n, here], d[:, None], extrapolate=True)
-            xy[n, here], yaw[n, here] = at, along
-        links.append(tuple(known.values()))
+            on_lane = np.array([x == lane for x in lanes[n]]) & tracks.valid[row]
+            line, lane_links = _line_ahead(road, lane, known_lanes)
+            own_links |= {(x.from_lane, x.to_lane): x for x in lane_links}
+            s, d = line.project(tracks.xy_m[row, on_lane], extrapolate=True)
+            xy[n, on_lane], yaw[n, on_lane] = line.at(
+                s[:, None] + driven_m[n, on_lane], d[:, None], extrapolate=True
+            )
+        links.append(tuple(own_links.values()))
     return Expected(np.swapaxes(xy, 0, 1), np.swapaxes(yaw, 0, 1), tuple(links))
 
 
 def _driven_m(speed_mps: FloatArray, accel_mps2: FloatArray) -> FloatArray:
-    """Return (N, K, H) distances at the instants ahead, braking kept up to a stop."""
+    """Return (N, K, H) distances driven until the look-ahead instants, if braking continues to a stop."""
     times = look_times()
     braking = np.maximum(np.where(accel_mps2 < -0.5, -accel_mps2, 0.0), 0.0)[..., None]
     speed = speed_mps[..., None]
-    stop = quotient(np.abs(speed), braking)
-    time = np.minimum(times, stop)
+    stop_s = quotient(np.abs(speed), braking)
+    time = np.minimum(times, stop_s)
     return np.asarray(speed * time - 0.5 * np.sign(speed) * braking * time**2)
 
 
 def _lanes(road: RoadMap, tracks: Tracks, rows: IntArray) -> list[list[str | None]]:
-    """Return N lists of the lanes at the K instants, looked up every half second; None where it goes straight on."""
-    every = max(1, round(_PLACE_EVERY_S / tracks.dt_s))
-    picked = np.arange(0, tracks.steps, every)
-    xy = tracks.xy_m[np.ix_(rows, picked)].reshape(-1, 2)
-    yaw = tracks.yaw_rad[np.ix_(rows, picked)].reshape(-1)
-    there = np.isfinite(xy).all(-1)
+    """Return N lists of the lanes at the K instants, looked up every half second.
+
+    None for a pedestrian, and for a vehicle that is too far off the lane or at too large an angle to it.
+    """
+    every = max(1, round(_LANE_EVERY_S / tracks.dt_s))
+    sampled = np.arange(0, tracks.steps, every)
+    xy = tracks.xy_m[np.ix_(rows, sampled)].reshape(-1, 2)
+    yaw = tracks.yaw_rad[np.ix_(rows, sampled)].reshape(-1)
+    present = np.isfinite(xy).all(-1)
     names: list[str | None] = [None] * len(xy)
-    ids, _, d, error = road.locate_many(xy[there], yaw[there])
-    for place, name, offset, askew in zip(np.flatnonzero(there), ids, d, wrap_angle(error), strict=True):
-        if abs(offset) <= _MAX_OFFSET_M and abs(askew) <= _MAX_YAW_ERROR_RAD:
-            names[place] = name
+    ids, _, d, yaw_error = road.locate_many(xy[present], yaw[present])
+    for i, name, offset, error in zip(np.flatnonzero(present), ids, d, wrap_angle(yaw_error), strict=True):
+        if abs(offset) <= _MAX_OFFSET_M and abs(error) <= _MAX_YAW_ERROR_RAD:
+            names[i] = name
     walks = tracks.classes[rows] == AgentClass.PEDESTRIAN
-    table = [names[n * len(picked) : (n + 1) * len(picked)] for n in range(len(rows))]
+    table = [names[n * len(sampled) : (n + 1) * len(sampled)] for n in range(len(rows))]
     return [
         [None if walks[n] else table[n][k // every] for k in range(tracks.steps)] for n in range(len(rows))
     ]
 
 
-def _chain(road: RoadMap, lane_id: str, visited: frozenset[str]) -> tuple[Polyline, list[Link]]:
-    """Return the centre line from *lane_id* on, over connections to *visited* lanes or else the straightest."""
+def _line_ahead(road: RoadMap, lane_id: str, known_lanes: frozenset[str]) -> tuple[Polyline, list[Link]]:
+    """Return the centre line from *lane_id* on and its connections: those to *known_lanes*, else the straightest."""
     names, links = [lane_id], list[Link]()
     length = 0.0
-    while length < _CHAIN_M and len(names) < 12:
+    while length < _AHEAD_M and len(names) < 12:
         options = road.lanes[names[-1]].successors
         if not options:
             break
-        link = min(options, key=lambda x: _strangeness(x, visited))
+        link = min(options, key=lambda x: _unlikeliness(x, known_lanes))
         onward = [x for x in (*link.via, link.to_lane) if x not in names]
         if not onward:
             break
@@ -133,5 +142,5 @@ def _chain(road: RoadMap, lane_id: str, visited: frozenset[str]) -> tuple[Polyli
     return concatenate([road.lanes[name].line for name in names]), links
 
 
-def _strangeness(link: Link, visited: frozenset[str]) -> tuple[bool, bool, str]:
-    return not any(x in visited for x in (*link.via, link.to_lane)), link.direction != "s", link.to_lane
+def _unlikeliness(link: Link, known_lanes: frozenset[str]) -> tuple[bool, bool, str]:
+    return not any(x in known_lanes for x in (*link.via, link.to_lane)), link.direction != "s", link.to_lane

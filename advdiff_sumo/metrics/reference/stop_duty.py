@@ -1,4 +1,4 @@
-"""Red lights and the duty to yield: stop lines that bind a reference driver."""
+"""Deceleration that stop lines require of a reference driver, at red lights and where it must yield."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.maps.paths import PathLink
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
 
-#: A driver brakes for a stop line once that takes this much, and for a yellow light while it takes no more.
-BEGIN_MPS2, YELLOW_MPS2 = 2.0, 3.0
-_ONGOING_MPS2 = 0.5
+#: A driver begins to brake for a stop line when the required deceleration reaches this.
+BEGIN_MPS2 = 2.0
+#: A driver stops at a yellow light if that requires at most this deceleration.
+YELLOW_MPS2 = 3.0
+#: A driver who brakes already stops braking for a line below this required deceleration.
+_CONTINUE_MPS2 = 0.5
+#: The driver stops this far before the line.
 _MARGIN_M = 1.0
 
 
 def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], theirs: tuple[Link, ...]) -> bool:
-    """Return whether who takes *link* must give way to who takes one of *theirs*, as signs and signals stand."""
+    """Return whether a vehicle on *link* must yield to one on a link of *theirs*, by the net and the *signals*."""
     if link.signal(signals) == PROTECTED_GREEN:
         return False
     return any(road.must_yield(link, x) and x.signal(signals) not in RED for x in theirs)
@@ -35,39 +39,39 @@ def stop_demand(
     conflict: BoolArray,
     braking: bool,
 ) -> float:
-    """Return the braking in m/s² that the stop lines ahead ask for; 0 for none.
+    """Return the deceleration in m/s² that the stop lines ahead require; 0 for none.
 
-    A line that is too near for full braking when it comes to matter does not bind.
+    A line that full braking cannot reach is ignored, unless the driver brakes already.
 
     Args:
         road: the map.
-        ahead: connections ahead with the places of their stop lines along the way.
-        front_m: place of the front bumper along the way.
+        ahead: connections ahead with the positions of their stop lines along the way.
+        front_m: position of the front bumper along the way.
         speed_mps: speed.
-        signals: the traffic lights now.
-        rivals: N tuples of the connections that each other takes.
-        conflict: (N,) whose time at the conflict area overlaps with the ego's.
+        signals: state of the traffic lights.
+        rivals: N tuples of the connections that each other road user takes.
+        conflict: (N,) whether its time at the conflict area overlaps with the ego's.
         braking: whether the driver is braking already.
     """
     demand = 0.0
-    for place in ahead:
-        distance = place.s_m - front_m
+    for path_link in ahead:
+        distance = path_link.s_m - front_m
         if distance <= 0.0 or speed_mps <= 0.0:
             continue
-        needed = speed_mps**2 / (2.0 * max(distance - _MARGIN_M, 0.1))
-        if needed < (_ONGOING_MPS2 if braking else BEGIN_MPS2):
+        required = speed_mps**2 / (2.0 * max(distance - _MARGIN_M, 0.1))
+        if required < (_CONTINUE_MPS2 if braking else BEGIN_MPS2):
             continue
-        if needed > FULL_BRAKE_MPS2 and not braking:
+        if required > FULL_BRAKE_MPS2 and not braking:
             continue
-        if _must_stop(road, place.link, needed, signals, rivals, conflict):
-            demand = max(demand, min(needed, FULL_BRAKE_MPS2))
+        if _must_stop(road, path_link.link, required, signals, rivals, conflict):
+            demand = max(demand, min(required, FULL_BRAKE_MPS2))
     return demand
 
 
 def _must_stop(
     road: RoadMap,
     link: Link,
-    needed_mps2: float,
+    required_mps2: float,
     signals: Mapping[str, str],
     rivals: tuple[tuple[Link, ...], ...],
     conflict: BoolArray,
@@ -76,5 +80,5 @@ def _must_stop(
     if letter in RED:
         return True
     if letter in YELLOW:
-        return needed_mps2 <= YELLOW_MPS2
+        return required_mps2 <= YELLOW_MPS2
     return any(yields_to(road, link, signals, rivals[n]) for n in np.flatnonzero(conflict).tolist())

@@ -1,4 +1,4 @@
-"""What led to a collision: the lanes, links and manoeuvres of both road users in the seconds before it."""
+"""Circumstances of a collision: lanes, links and manoeuvres of both road users in the seconds before it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from advdiff_sumo.metrics.lane_entry import (
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-#: How far back lanes are looked at; long enough to find the approach to a junction.
+#: Lanes are looked up this far back; long enough to find the approach to a junction.
 HISTORY_S = 10.0
-#: What happened longer ago than this did not lead to the contact.
+#: Events longer ago than this did not lead to the contact.
 BREACH_WINDOW_S = 5.0
-#: A heading farther than this from that of the lane is the wrong way.
+#: A heading that differs from the lane's by more than this is the wrong way.
 WRONG_WAY_RAD = 2.0
-#: A vehicle that has stood this long in the way could be seen.
+#: A vehicle that has stood for this long could be seen.
 STOOD_S = 1.0
-#: Standing: slower than this (the limit of nuPlan's metric), or nearer than ``_LEAST_MOVE_M`` to where it was.
+#: Standing: at most this fast (the limit of nuPlan's metric), or moved by at most ``_LEAST_MOVE_M`` in a given time.
 LEAST_SPEED_MPS = 0.05
 _LEAST_MOVE_M = 0.1
 _LEAST_MOVE_S = 0.5
@@ -47,17 +47,17 @@ class Party:
         speed_mps: signed speed at the instant before the contact.
         face: its side at the contact: "front", "rear", "left", "right".
         lanes: its lanes from the start of the history to the instant before the contact.
-        first_lane: of these, the lane at the first instant at which it is there; None where no lane is near then.
-        wrong_way: whether it drives, not walks, against its lane's direction.
-        overhang_m: how far it reaches out of its lane; inf off any lane.
+        first_lane: its lane at the first instant of these at which it is present; None if no lane is near then.
+        wrong_way: whether it is a vehicle that drives against its lane's direction.
+        overhang_m: distance by which it reaches out of its lane; inf off any lane.
         changed_lane: whether it changed to another lane of its edge within ``CUT_IN_WINDOW_S``.
         intrudes: whether it reaches into the lane of the other.
         stands: whether it stands still.
         stood: whether it has stood for ``STOOD_S``, so that the other could react.
-        link: how it crosses the junction on which the two meet; None when it does not.
-        entered_step: instant at which its centre entered that junction, or the last, where only its front has and it
-            does not stand; None when not seen.
-        line_step: instant since which its front was over the stop line then; None when not seen.
+        link: by which it crosses the junction at which the two meet; None if it does not.
+        entered_step: instant at which its centre entered that junction. If only its front has entered and it does not
+            stand, the instant before the contact. None if neither is recorded.
+        line_step: instant since which its front was over the stop line then; None if ``entered_step`` is.
     """
 
     row: int
@@ -79,18 +79,18 @@ class Party:
 
     @property
     def leaves_lane(self) -> bool:
-        """Whether it reaches out of its lane by more than ``INTRUSION_M``; who walks has none."""
+        """Whether it reaches out of its lane by more than ``INTRUSION_M``; False for a pedestrian."""
         return not self.is_pedestrian and self.overhang_m > INTRUSION_M
 
     @property
     def is_pedestrian(self) -> bool:
-        """Whether it walks; rules about lanes do not bind it."""
+        """Whether it is a pedestrian, to whom the rules about lanes do not apply."""
         return self.agent_class == AgentClass.PEDESTRIAN
 
 
 @dataclass(frozen=True)
 class JunctionEntry:
-    """How a vehicle entered a junction.
+    """One entry of a vehicle into a junction.
 
     Attributes:
         link: by which it crosses the junction.
@@ -112,9 +112,9 @@ class Encounter:
         target: the first of the two: the tested vehicle, where it takes part.
         other: its partner.
         junction: id of the junction on which it happened, or None.
-        merged: id of the junction, left before, on which their ways joined within ``BREACH_WINDOW_S``, or None.
-        entry: who entered whose lane within ``BREACH_WINDOW_S``, or None.
-        start: first instant looked at.
+        merged: id of the junction on which their ways joined within ``BREACH_WINDOW_S`` before, or None.
+        entry: the entry of one into the other's lane within ``BREACH_WINDOW_S``, or None.
+        start: first instant of the history.
     """
 
     collision: Collision
@@ -130,9 +130,9 @@ class Encounter:
         """Both, in the order of the collision's rows."""
         return self.target, self.other
 
-    def is_run_into(self, which: int) -> bool:
-        """Return whether the other ran with its front into the rear of party *which*."""
-        return self.parties[which].face == "rear" and self.parties[1 - which].face == "front"
+    def is_run_into(self, index: int) -> bool:
+        """Return whether the other ran with its front into the rear of party *index*, 0 or 1."""
+        return self.parties[index].face == "rear" and self.parties[1 - index].face == "front"
 
     @property
     def cut_in(self) -> LaneEntry | None:
@@ -142,35 +142,37 @@ class Encounter:
 
     @property
     def crossing(self) -> bool:
-        """Whether the two came to a common junction from different approaches; by headings where not known.
+        """Whether the two came to a common junction from different approaches.
 
-        Who walks comes by no approach.
+        If an approach is unknown, the headings decide. A pedestrian has no approach: False.
         """
         if self.merged is not None:
             return True
         if self.junction is None or any(x.is_pedestrian for x in self.parties):
             return False
-        a, b = self.target.link, self.other.link
-        if a is None or b is None:
+        first, second = self.target.link, self.other.link
+        if first is None or second is None:
             return self.collision.heading_difference_rad > 0.25 * np.pi
-        return a.from_lane.rsplit("_", 1)[0] != b.from_lane.rsplit("_", 1)[0]
+        return first.from_lane.rsplit("_", 1)[0] != second.from_lane.rsplit("_", 1)[0]
 
 
 def encounter(view: TrafficView, collision: Collision) -> Encounter:
     """Return the circumstances of *collision*, of any two agents of *view*."""
     step = collision.step
     start = max(0, step - view.steps(HISTORY_S))
-    placed = [view.place(row, start, step + 1) for row in collision.rows]
-    junction = next((j for j in (junction_of(view.road, p.lane[-1]) for p in placed) if j is not None), None)
-    merged = None if junction is not None else _merging(view, collision, placed)
-    target, other = (_party(view, collision, which, placed, junction or merged, start) for which in (0, 1))
-    return Encounter(
-        collision, target, other, junction, merged, _entry_of(view, target, other, start, step), start
-    )
+    placements = [view.place(row, start, step + 1) for row in collision.rows]
+    junctions = (junction_of(view.road, x.lane[-1]) for x in placements)
+    junction = next((x for x in junctions if x is not None), None)
+    merged = None if junction is not None else _merge_junction(view, collision, placements)
+    target, other = (_party(view, collision, i, placements, junction or merged, start) for i in (0, 1))
+    entry = _first_lane_entry(view, target, other, start, step)
+    return Encounter(collision, target, other, junction, merged, entry, start)
 
 
-def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: int) -> LaneEntry | None:
-    """Return the first entry of one into the lane of the other."""
+def _first_lane_entry(
+    view: TrafficView, target: Party, other: Party, start: int, step: int
+) -> LaneEntry | None:
+    """Return the earlier of the entries of one into the lane of the other; None without one."""
     entries = [
         lane_entry(view, entering.row, keeping.row, start, step, BREACH_WINDOW_S)
         for entering, keeping in ((other, target), (target, other))
@@ -179,12 +181,15 @@ def _entry_of(view: TrafficView, target: Party, other: Party, start: int, step: 
     return min((x for x in entries if x is not None), key=lambda x: x.step, default=None)
 
 
-def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -> str | None:
-    """Return the junction by which both came lately, from different edges, and on which their ways joined."""
+def _merge_junction(view: TrafficView, collision: Collision, placements: list[Placement]) -> str | None:
+    """Return the junction that both crossed recently, from different edges, and on which their ways joined."""
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
-    one, two = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placed)
-    for junction in dict.fromkeys(x for both in zip(one, two, strict=True) for x in both if x is not None):
-        first, second = (_came_by(view, rows[k], placed[k], junction) for k in (0, 1))
+    backwards = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placements)
+    recent_junctions = dict.fromkeys(
+        x for pair in zip(*backwards, strict=True) for x in pair if x is not None
+    )
+    for junction in recent_junctions:
+        first, second = (_recent_link(view, rows[i], placements[i], junction) for i in (0, 1))
         if first is None or second is None:
             continue
         if _join(view.road, first, second):
@@ -193,66 +198,69 @@ def _merging(view: TrafficView, collision: Collision, placed: list[Placement]) -
 
 
 def _join(road: RoadMap, first: Link, second: Link) -> bool:
-    """Return whether two links of a junction come from different edges and join, as those of an added lane do not."""
-    (a, to_a), (b, to_b) = (
+    """Return whether two links of a junction come from different edges and join.
+
+    Links that lead to separate lanes of one edge, as where a ramp adds a lane, do not join.
+    """
+    (from_first, to_first), (from_second, to_second) = (
         (road.lanes[x.from_lane].edge_id, road.lanes[x.to_lane].edge_id) for x in (first, second)
     )
-    onto_one = first.to_lane == second.to_lane or ways_meet(road, first, second)
-    return a != b and to_a == to_b and onto_one
+    joins = first.to_lane == second.to_lane or ways_meet(road, first, second)
+    return from_first != from_second and to_first == to_second and joins
 
 
 def ways_meet(road: RoadMap, first: Link, second: Link) -> bool:
-    """Return whether the ways by two links over the same junction cross or join in the net."""
+    """Return whether two links over the same junction conflict in the net: their ways cross or join."""
     return first.junction_id == second.junction_id and second.request_index in road.foes_of(first)
 
 
-def _came_by(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:
-    """Return the link by which *row* crossed *junction* lately, or begins to with its front; None: it did not."""
+def _recent_link(view: TrafficView, row: int, lanes: Placement, junction: str) -> Link | None:
+    """Return the link by which *row* crossed *junction* recently, or has begun to with its front; else None."""
     recent = view.steps(BREACH_WINDOW_S)
     link, _ = _crossing(view.road, lanes, junction, view.routes.get(row, ()), recent)
-    been = any(junction_of(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
-    return link if been or (link is not None and _noses_in(view, row, lanes, link)) else None
+    was_on_it = any(junction_of(view.road, x) == junction for x in lanes.lane[-recent - 1 :])
+    return link if was_on_it or (link is not None and _front_entered(view, row, lanes, link)) else None
 
 
 def _party(
     view: TrafficView,
     collision: Collision,
-    which: int,
-    placed: list[Placement],
+    index: int,
+    placements: list[Placement],
     junction: str | None,
     start: int,
 ) -> Party:
-    row, lanes, step = collision.rows[which], placed[which], collision.step
+    row, lanes, step = collision.rows[index], placements[index], collision.step
     walks = view.tracks.classes[row] == AgentClass.PEDESTRIAN
     recent, route = view.steps(BREACH_WINDOW_S), view.routes.get(row, ())
     link, entered = (None, None) if walks else _crossing(view.road, lanes, junction, route, recent)
     stood = _stood(view, row, step)
-    if entered is None and link is not None and not stood and _noses_in(view, row, lanes, link):
+    if entered is None and link is not None and not stood and _front_entered(view, row, lanes, link):
         entered = len(lanes.lane) - 1
-    over = None if entered is None else _over_line(view, row, lanes, entered)
+    over_line = None if entered is None else _over_line_since(view, row, lanes, entered)
     speed = float(view.tracks.speed_mps[row, step])
     return Party(
         row=row,
         name=view.tracks.ids[row],
         agent_class=AgentClass(int(view.tracks.classes[row])),
         speed_mps=speed,
-        face=collision.faces[which],
+        face=collision.faces[index],
         lanes=lanes,
         first_lane=lanes.lane[int(view.tracks.valid[row, start : step + 1].argmax())],
         wrong_way=not walks and bool(abs(lanes.yaw_error_rad[-1]) > WRONG_WAY_RAD),
         overhang_m=lanes.overhang_m(-1),
         changed_lane=bool(lane_changes(view.road, lanes.lane[-view.steps(CUT_IN_WINDOW_S) - 1 :])),
-        intrudes=reaches_into(view, row, collision.rows[1 - which], start, step),
-        stands=abs(speed) <= LEAST_SPEED_MPS or _rests(view, row, step, _LEAST_MOVE_S),
+        intrudes=reaches_into(view, row, collision.rows[1 - index], start, step),
+        stands=abs(speed) <= LEAST_SPEED_MPS or _hardly_moved(view, row, step, _LEAST_MOVE_S),
         stood=stood,
         link=link,
         entered_step=None if entered is None else start + entered,
-        line_step=None if over is None else start + over,
+        line_step=None if over_line is None else start + over_line,
     )
 
 
 def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:
-    """Yield every junction that vehicle *row* is seen to enter from a lane that leads onto it, in the order of time."""
+    """Yield every recorded entry of vehicle *row* into a junction, from a lane that leads onto it, in time order."""
     lanes, route = view.place(row, 0, view.tracks.steps), view.routes.get(row, ())
     inside = [junction_of(view.road, name) for name in lanes.lane]
     for step, (approach, junction) in enumerate(zip(lanes.lane[:-1], inside[1:], strict=True), start=1):
@@ -261,33 +269,36 @@ def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:
         driven = [name for name in lanes.lane[step:] if name is not None]
         link = _link_onto(view.road, approach, junction, route, driven)
         if link is not None:
-            yield JunctionEntry(link, _over_line(view, row, lanes, step), step)
+            yield JunctionEntry(link, _over_line_since(view, row, lanes, step), step)
 
 
-def _noses_in(view: TrafficView, row: int, lanes: Placement, link: Link) -> bool:
-    """Return whether the front of *row* is beyond the lane that *link* begins with, and its centre on it, at last."""
+def _front_entered(view: TrafficView, row: int, lanes: Placement, link: Link) -> bool:
+    """Return whether the vehicle, last seen on the lane before *link*, has its front beyond that lane."""
     front_m = float(lanes.s_m[-1]) + 0.5 * float(view.tracks.size_m[row, 0])
     return lanes.lane[-1] == link.from_lane and front_m > view.road.lanes[link.from_lane].length_m
 
 
-def _over_line(view: TrafficView, row: int, lanes: Placement, entered: int) -> int:
-    """Return the instant (in *lanes*) since which the front of *row* was beyond its lane before that of *entered*."""
+def _over_line_since(view: TrafficView, row: int, lanes: Placement, entered: int) -> int:
+    """Return the instant since which the front of *row* was beyond the lane that it left at *entered*.
+
+    Both are instants of *lanes*.
+    """
     name, half_m = lanes.lane[entered - 1], 0.5 * float(view.tracks.size_m[row, 0])
     if name is None:
         return entered
-    end_m, over = view.road.lanes[name].length_m, entered
-    while over > 0 and lanes.lane[over - 1] == name and lanes.s_m[over - 1] + half_m > end_m:
-        over -= 1
-    return over
+    end_m, since = view.road.lanes[name].length_m, entered
+    while since > 0 and lanes.lane[since - 1] == name and lanes.s_m[since - 1] + half_m > end_m:
+        since -= 1
+    return since
 
 
 def _stood(view: TrafficView, row: int, step: int) -> bool:
     speed = view.tracks.speed_mps[row, max(0, step - view.steps(STOOD_S)) : step + 1]
-    return bool((np.abs(speed) <= LEAST_SPEED_MPS).all()) or _rests(view, row, step, STOOD_S)
+    return bool((np.abs(speed) <= LEAST_SPEED_MPS).all()) or _hardly_moved(view, row, step, STOOD_S)
 
 
-def _rests(view: TrafficView, row: int, step: int, seconds: float) -> bool:
-    """Return whether agent *row* was seen *seconds* ago and has since stayed within ``_LEAST_MOVE_M``."""
+def _hardly_moved(view: TrafficView, row: int, step: int, seconds: float) -> bool:
+    """Return whether agent *row* moved by at most ``_LEAST_MOVE_M`` in the *seconds* before *step*; False if absent."""
     since = step - view.steps(seconds)
     if since < 0:
         return False
@@ -307,57 +318,59 @@ def _crossing(
 ) -> tuple[Link | None, int | None]:
     """Return the link by which a vehicle crosses *junction* and the instant (in *lanes*) of its entry.
 
-    It is on it, left it within the last *recent* instants, or is about to reach it.
+    The vehicle is on the junction, left it within the last *recent* instants, or is about to reach it. The instant is
+    None in the last case, and if the vehicle was on the junction from the first instant on.
     """
     if junction is None:
         return None, None
     inside = [junction_of(road, x) == junction for x in lanes.lane]
     if True not in inside[-recent - 1 :]:
         return _link_onto(road, lanes.lane[-1], junction, route), None
-    upto = len(inside) - inside[::-1].index(True)
-    entry = upto - inside[:upto][::-1].index(False) if False in inside[:upto] else None
-    approach = lanes.lane[entry - 1] if entry is not None else None
-    driven = [x for x in lanes.lane[entry or 0 :] if x is not None]
+    left = len(inside) - inside[::-1].index(True)
+    entered = left - inside[:left][::-1].index(False) if False in inside[:left] else None
+    approach = lanes.lane[entered - 1] if entered is not None else None
+    driven = [x for x in lanes.lane[entered or 0 :] if x is not None]
     link = _link_onto(road, approach, junction, route, driven)
     if link is None:
         options = [x for x in road.links.values() if x.junction_id == junction]
         link = max(options, key=lambda x: _fit(road, x, driven, route), default=None)
-    return link, entry
+    return link, entered
 
 
 def _link_onto(
     road: RoadMap, lane_id: str | None, junction: str, route: tuple[str, ...], driven: Sequence[str] = ()
 ) -> Link | None:
-    """Return the link by which a vehicle goes onto *junction* from a lane; None where that does not lead there.
+    """Return the link by which a vehicle enters *junction* from a lane; None if the lane does not lead onto it.
 
-    Who is seen on none of the ways that begin on that lane, but on one that begins beside it, takes that one.
+    If the vehicle drives on none of the lane's own links, but on one of a parallel lane, that link is returned.
 
     Args:
         road: the map.
         lane_id: the lane.
-        junction: its id.
+        junction: id of the junction.
         route: edges of the vehicle's route.
-        driven: lanes that it is seen on from there on.
+        driven: lanes on which it is recorded afterwards.
     """
-    ahead = links_onto(road, lane_id, junction)
-    if lane_id is None or not ahead:
+    options = links_onto(road, lane_id, junction)
+    if lane_id is None or not options:
         return None
-    link = max(ahead, key=lambda x: _fit(road, x, driven, route))
+    link = max(options, key=lambda x: _fit(road, x, driven, route))
     if _fit(road, link, driven, route)[0]:
         return link
     lanes = road.edges[road.lanes[lane_id].edge_id].lane_ids
-    beside = (x for lane in lanes for x in links_onto(road, lane, junction))
-    taken = [x for x in beside if _fit(road, x, driven, route)[0]]
-    return max(taken, key=lambda x: _fit(road, x, driven, route), default=link)
+    parallel = (x for lane in lanes for x in links_onto(road, lane, junction))
+    fitting = [x for x in parallel if _fit(road, x, driven, route)[0]]
+    return max(fitting, key=lambda x: _fit(road, x, driven, route), default=link)
 
 
 def links_onto(road: RoadMap, lane_id: str | None, junction: str) -> tuple[Link, ...]:
-    """Return the connections by which a vehicle may go onto *junction* from a lane."""
+    """Return the links by which a vehicle may enter *junction* from a lane."""
     if lane_id is None:
         return ()
     return tuple(x for x in road.lanes[lane_id].successors if x.junction_id == junction)
 
 
 def _fit(road: RoadMap, link: Link, driven: Sequence[str], route: tuple[str, ...]) -> tuple[int, bool]:
+    """Return the number of *driven* lanes that are on *link*, and whether it is on the *route*."""
     on_route = (road.lanes[link.from_lane].edge_id, road.lanes[link.to_lane].edge_id) in set(pairwise(route))
     return sum(x in link.via or x == link.to_lane for x in driven), on_route

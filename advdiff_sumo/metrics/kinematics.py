@@ -8,21 +8,21 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.contact import JUMP_MPS
 
-#: A faster motion sideways is no driving but a change of lane in no time.
+#: A faster lateral motion is an instantaneous lane change.
 SNAP_MPS = 8.0
 
 
 def unbroken(tracks: Tracks) -> BoolArray:
-    """Return (A, T − 1) whether the agent is there at both ends of the step and does not jump between them."""
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    """Return (A, T − 1) whether the agent is present at both ends of the step and does not jump between them."""
+    present = tracks.valid[:, 1:] & tracks.valid[:, :-1]
     move = np.diff(tracks.xy_m, axis=1)
-    return np.asarray(both & (np.hypot(move[..., 0], move[..., 1]) <= JUMP_MPS * tracks.dt_s))
+    return np.asarray(present & (np.hypot(move[..., 0], move[..., 1]) <= JUMP_MPS * tracks.dt_s))
 
 
 def snaps(tracks: Tracks) -> BoolArray:
     """Return (A, T − 1) whether the agent moves sideways faster than ``SNAP_MPS`` in the step.
 
-    So SUMO changes lanes without sublanes. False where the agent is absent.
+    SUMO changes lanes in this way without its sublane model. False where the agent is absent.
     """
     move = np.diff(tracks.xy_m, axis=1)
     yaw = tracks.yaw_rad[:, :-1] + 0.5 * np.angle(np.exp(1j * np.diff(tracks.yaw_rad, axis=1)))
@@ -33,18 +33,18 @@ def snaps(tracks: Tracks) -> BoolArray:
 def velocities(tracks: Tracks) -> FloatArray:
     """Return (A, T, 2) velocities in m/s from the positions: the mean of the steps before and after an instant.
 
-    Taken from positions, so that sideways motion counts. At a break, or a lane change in no time, only the other
-    step is used; an agent without either has its speed along its heading. NaN where the agent is absent.
+    Velocities from positions include lateral motion. A step with a break or an instantaneous lane change is not used.
+    If neither step can be used, the velocity is the speed along the heading. NaN where the agent is absent.
     """
-    steady = unbroken(tracks) & ~snaps(tracks)
-    rate = np.where(steady[..., None], np.diff(tracks.xy_m, axis=1) / tracks.dt_s, 0.0)
+    usable = unbroken(tracks) & ~snaps(tracks)
+    rate = np.where(usable[..., None], np.diff(tracks.xy_m, axis=1) / tracks.dt_s, 0.0)
     total = np.zeros_like(tracks.xy_m)
     count = np.zeros(tracks.yaw_rad.shape)
     for part in (slice(1, None), slice(None, -1)):
         total[:, part] += rate
-        count[:, part] += steady
+        count[:, part] += usable
     heading = np.stack((np.cos(tracks.yaw_rad), np.sin(tracks.yaw_rad)), axis=-1)
-    alone = tracks.speed_mps[..., None] * heading
+    along_heading = tracks.speed_mps[..., None] * heading
     mean = total / np.maximum(count, 1.0)[..., None]
-    velocity = np.where((count > 0.0)[..., None], mean, alone)
+    velocity = np.where((count > 0.0)[..., None], mean, along_heading)
     return np.where(tracks.valid[..., None], velocity, np.nan)

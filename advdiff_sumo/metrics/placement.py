@@ -1,4 +1,4 @@
-"""On which lane a recorded vehicle is at each instant, and how far it reaches out of it."""
+"""The lane of a recorded vehicle at each instant, and how far the vehicle reaches out of it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Placement:
     half_width_m: FloatArray
 
     def overhang_m(self, instant: int) -> float:
-        """Return how far the box reaches over the nearer edge of its lane; inf off any lane, ≤ 0 inside."""
+        """Return how far the box reaches over the nearer edge of its lane; inf off any lane, 0 or less inside."""
         if self.lane[instant] is None:
             return float("inf")
         return float(abs(self.d_m[instant]) + self.reach_m[instant] - self.half_width_m[instant])
@@ -41,23 +41,23 @@ class Placement:
 def place(road: RoadMap, tracks: Tracks, row: int, start: int, stop: int) -> Placement:
     """Return the lanes of agent *row* at instants *start* to *stop* (exclusive).
 
-    They are those open to motor vehicles; who cycles may be on one for bicycles, if its centre is.
+    Only lanes open to motor vehicles count. A bicycle may also be on a bicycle lane, if its centre is.
     """
     xy, yaw = tracks.xy_m[row, start:stop], tracks.yaw_rad[row, start:stop]
-    placed = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw))
+    motor = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw))
     if tracks.classes[row] != AgentClass.BICYCLE:
-        return placed
-    own = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw, vclass="bicycle"))
-    inside = np.abs(own.d_m) <= own.half_width_m
-    lanes = tuple(a if here else b for here, a, b in zip(inside, own.lane, placed.lane, strict=True))
-    rest = [name for name in vars(placed) if name != "lane"]
-    return Placement(lanes, **{x: np.where(inside, getattr(own, x), getattr(placed, x)) for x in rest})
+        return motor
+    cycle = _on_lanes(road, tracks.size_m[row], road.locate_many(xy, yaw, vclass="bicycle"))
+    inside = np.abs(cycle.d_m) <= cycle.half_width_m
+    lanes = tuple(a if x else b for x, a, b in zip(inside, cycle.lane, motor.lane, strict=True))
+    arrays = [name for name in vars(motor) if name != "lane"]
+    return Placement(lanes, **{x: np.where(inside, getattr(cycle, x), getattr(motor, x)) for x in arrays})
 
 
 def _on_lanes(
     road: RoadMap, size_m: FloatArray, located: tuple[list[str | None], FloatArray, FloatArray, FloatArray]
 ) -> Placement:
-    """Return the placement of a box of *size_m* (2,) that :meth:`RoadMap.locate_many` gives as *located*."""
+    """Return the placement of a box of *size_m* (2,) from *located*, the result of :meth:`RoadMap.locate_many`."""
     ids, s, d, error = located
     widths = [road.lanes[x].width_m if x is not None else np.nan for x in ids]
     half_width = 0.5 * np.array(widths, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The movements of all road users on a map, recorded or planned: what rules of the road are checked on."""
+"""The movements of all road users on a map, recorded or planned, on which traffic rules are checked."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from advdiff_sumo.metrics.placement import Placement, place
 
 @dataclass(frozen=True, eq=False)
 class TrafficView:
-    """Who is where and when; A agents, T instants.
+    """Tracks of all road users with their map; A agents, T instants.
 
-    A recorded episode is one source (:meth:`of_record`); a plan is another: any tracks of candidate futures, with
-    the histories of the last seconds before them, do as well.
+    They come from a recorded episode (:meth:`of_record`) or from a plan: the histories of the last seconds, followed
+    by a candidate future.
 
     Attributes:
         tracks: (A, T) states, in the frame of the map.
         road: the map.
-        signals: T mappings, traffic light → SUMO's state string; () where they are not known.
-        routes: row → edges of that agent's route, where known.
+        signals: T mappings, traffic light → SUMO's state string; () if unknown.
+        routes: row → edges of that agent's route, if known.
     """
 
     tracks: Tracks
@@ -33,19 +33,19 @@ class TrafficView:
 
     @staticmethod
     def of_record(record: EpisodeRecord, road: RoadMap) -> TrafficView:
-        """Return the view of a recorded episode: of routes, it knows the target's."""
+        """Return the view of a recorded episode; it knows the route of the target only."""
         routes = {record.target: record.route} if record.route else {}
         return TrafficView(record.tracks, road, record.signals, routes)
 
     def place(self, row: int, start: int, stop: int) -> Placement:
-        """Return the lanes of agent *row* at instants *start* to *stop* (exclusive); kept once computed."""
+        """Return the lanes of agent *row* at instants *start* to *stop* (exclusive); the result is cached."""
         key = (row, start, stop)
         if key not in self._placed:
             self._placed[key] = place(self.road, self.tracks, row, start, stop)
         return self._placed[key]
 
     def steps(self, seconds: float) -> int:
-        """Return how many steps *seconds* are."""
+        """Return the number of steps in *seconds*."""
         return round(seconds / self.tracks.dt_s)
 
     def time_s(self, step: int) -> float:

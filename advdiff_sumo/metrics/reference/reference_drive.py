@@ -215,7 +215,7 @@ class ReferenceDrivers:
 
     @cached_property
     def _recorded_situations(self) -> list[tuple[Meeting, bool]]:
-        """At each instant up to the contact: the target's relation to the others, and whether it had to stop at a line."""
+        """Relation of the target to the others at each instant up to the contact, and whether a line made it stop."""
         row, tracks, span = self._record.target, self._tracks, self._span
         s, _ = self._recorded_way.line.project(tracks.xy_m[row, :span])
         speed = tracks.speed_mps[row, :span]

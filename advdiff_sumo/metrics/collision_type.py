@@ -1,8 +1,8 @@
-"""What kind of collision it was.
+"""Classify the target's collisions by kind.
 
-The kinds are those of the project's brief; their bounds follow the crash types of NHTSA's pre-crash typology
-(Najm, Smith and Yanagisawa 2007, DOT HS 810 767: rear-end, lane change, opposite direction, crossing paths,
-road departure). The rules stand in ``docs/metrics.md``, in the order in which they are tried.
+The bounds follow the crash types of NHTSA's pre-crash typology (Najm, Smith and Yanagisawa 2007, DOT HS 810 767:
+rear-end, lane change, opposite direction, crossing paths, road departure). ``docs/metrics.md`` lists the rules in the
+order in which they are tried.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ class CollisionType(StrEnum):
     OFF_ROAD = "off_road"
 
 
-def collision_type(met: Encounter) -> CollisionType:
-    """Return the kind of collision with another agent; leaving the road is found by ``offroad``."""
-    angle = met.collision.heading_difference_rad
-    if met.junction is not None and met.crossing:
+def collision_type(case: Encounter) -> CollisionType:
+    """Return the kind of a collision with another agent; ``offroad`` detects leaving the road."""
+    angle = case.collision.heading_difference_rad
+    if case.junction is not None and case.crossing:
         return CollisionType.JUNCTION
     if angle > OPPOSITE_RAD:
         return CollisionType.HEAD_ON
-    if _cuts_in(met):
+    if _cuts_in(case):
         return CollisionType.CUT_IN
     if angle > SAME_WAY_RAD:
         return CollisionType.SIDE
-    faces = (met.target.face, met.other.face)
+    faces = (case.target.face, case.other.face)
     if faces == ("front", "rear"):
         return CollisionType.REAR_END_STRIKING
     if faces == ("rear", "front"):
@@ -45,11 +45,11 @@ def collision_type(met: Encounter) -> CollisionType:
     return CollisionType.SIDE
 
 
-def _cuts_in(met: Encounter) -> bool:
-    """Return whether one entered the lane of the other from ahead, the same way, by leaving its own."""
-    entry = met.cut_in
+def _cuts_in(case: Encounter) -> bool:
+    """Return whether one left its lane for that of the other, ahead of it and in the same direction."""
+    entry = case.cut_in
     if entry is None or entry.oncoming or not entry.ahead or not entry.leaves_lane:
         return False
-    follower, leader = met.parties if entry.row == met.other.row else met.parties[::-1]
-    along = entry.leader_mps > 0.0 and leader.first_lane is not None and not leader.is_pedestrian
-    return along and follower.face != "rear"
+    follower, leader = case.parties if entry.row == case.other.row else case.parties[::-1]
+    drives_along = entry.leader_mps > 0.0 and leader.first_lane is not None and not leader.is_pedestrian
+    return drives_along and follower.face != "rear"

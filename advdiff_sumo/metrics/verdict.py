@@ -1,8 +1,8 @@
-"""Whether a collision of the target is a failure that counts.
+"""Judge whether a collision of the target is a valid failure.
 
-A collision that no driver could have avoided, or that another broke the rules to cause, says nothing about the
-tested planner. :func:`judge` says of a collision which rules either side broke, whether a careful and competent
-driver in the target's place would have avoided it, and what follows. The terms stand in ``docs/verdict.md``.
+A collision that no driver could have avoided, or that another caused by breaking the rules, says nothing about the
+tested planner. :func:`judge` therefore finds the rules that either party broke, and whether a careful and competent
+driver in the target's place would have avoided the collision. ``docs/verdict.md`` defines the terms.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ YARDSTICK = "CC_human_driver"
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a collision of the target comes to.
+    """The verdict on a collision of the target.
 
     Attributes:
         kind: kind of collision.
-        fault: who caused it, by rule.
+        fault: the party at fault, by rule.
         target_breaches: rules that the target broke and that led to it.
-        other_breaches: the same of the other party.
-        lawful: the other broke none; None where the target left the road.
-        preventable: a careful and competent driver (``YARDSTICK``) would not have collided; None where no reference
-            driver could be put in the target's place.
-        preventable_by: the reference drivers that would not have.
-        spare_m: by how much that driver clears the other party; None where it does not.
-        spare_s: the least time in which it would have met anybody had all gone on as they did; None as before.
-        impact_left_mps: closing speed at which that driver still collides; None where it does not.
-        valid_failure: the other is lawful and it was preventable, or the target is at fault by rule.
-        solvable: whether the clairvoyant search found a drive that avoids it; None where it was not asked.
-        unavoidable: no reference driver and no drive of that search avoids it; None where none of the drivers does
-            and the search was not asked.
+        other_breaches: rules that the other party broke and that led to it.
+        lawful: whether the other broke none; None if the target left the road.
+        preventable: whether the careful and competent driver (``YARDSTICK``) would not have collided; None if no
+            reference driver could be put in the target's place.
+        preventable_by: names of the reference drivers that would not have collided.
+        spare_m: least gap of the ``YARDSTICK`` driver to the other party; None if it collides.
+        spare_s: least time until that driver meets a road user, extrapolated at each instant; None if it collides.
+        impact_left_mps: closing speed at which that driver still collides; None if it does not.
+        valid_failure: whether the other is lawful and the collision preventable, or the target is at fault by rule.
+        solvable: whether the clairvoyant search found a drive that avoids it; None if it was not run.
+        unavoidable: whether no reference driver and no drive of that search avoids it; None if no driver does and the
+            search was not run.
         not_judged: what could not be judged, and why.
-        sentence: all of it, for people.
+        sentence: the verdict as a sentence for the user.
         drives: the drive of each reference driver, by model.
     """
 
@@ -75,56 +75,56 @@ class Verdict:
 def judge(
     record: EpisodeRecord, road: RoadMap, collision: Collision | OffRoad, solvable: bool | None = None
 ) -> Verdict:
-    """Return the verdict of a collision of the target. A pure function of its arguments.
+    """Return the verdict on a collision of the target. A pure function of its arguments.
 
-    The others are taken to move as recorded, whatever the reference driver does. Whoever the driver leaves behind
-    runs into its rear at times for that reason; such a collision is not held against it.
+    The others move as recorded, whatever the reference driver does. One behind it may therefore run into its rear; such
+    a collision does not count.
 
     >>> hit = target_collision(record, collisions(record))
     >>> verdict = judge(record, road, hit)
     >>> verdict.valid_failure, verdict.preventable_by, verdict.sentence
 
     Args:
-        record: the episode. What it does not hold cannot be judged: without ``signals`` no red light, without
-            ``route`` the way of the reference driver is guessed from the lanes.
+        record: the episode. Without ``signals`` no red light is judged. Without ``route`` the way of the reference
+            driver is guessed from the lanes.
         road: its map.
-        collision: the target's collision with another (of :func:`~advdiff_sumo.metrics.collision.collisions`, the
-            target being the first of its rows), or its leaving the road.
+        collision: the target's collision with another (of :func:`~advdiff_sumo.metrics.collision.collisions`, with the
+            target in the first of its rows), or its leaving the road.
         solvable: whether the clairvoyant search (``experiments.solution.solve``) found a drive that avoids it;
-            None where it was not asked.
+            None if it was not run.
     """
     if isinstance(collision, OffRoad):
         return _off_road()
     view = TrafficView.of_record(record, road)
-    met = encounter(view, collision)
-    kind = collision_type(met)
-    fault = fault_of(view, met, kind)
-    target, other = (breaches_of(view, met, which) for which in (0, 1))
+    case = encounter(view, collision)
+    kind = collision_type(case)
+    fault = fault_of(view, case, kind)
+    breaches = breaches_of(view, case, 0), breaches_of(view, case, 1)
     drives = drive_all(record, road, collision) if collision.step > 0 else {}
-    pusher = pushed_by(view, met, 0)
-    held = {name: held_against(record, collision, drive, pusher) for name, drive in drives.items()}
-    preventable_by = tuple(name for name in MODELS if name in held and not held[name])
-    yardstick = replace(drives[YARDSTICK], touches=held[YARDSTICK]) if drives else None
+    pusher = pushed_by(view, case, 0)
+    counted = {name: held_against(record, collision, drive, pusher) for name, drive in drives.items()}
+    preventable_by = tuple(name for name in MODELS if name in counted and not counted[name])
+    yardstick = replace(drives[YARDSTICK], touches=counted[YARDSTICK]) if drives else None
     preventable = None if yardstick is None else YARDSTICK in preventable_by
-    valid = fault.at_fault is AtFault.TARGET or (not other and bool(preventable))
-    not_judged = _not_judged(view, met, bool(drives))
-    clear, hits = (yardstick, None) if preventable else (None, yardstick)
+    lawful = not breaches[1]
+    not_judged = _not_judged(view, case, bool(drives))
+    clear, colliding = (yardstick, None) if preventable else (None, yardstick)
     return Verdict(
         kind=kind,
         fault=fault,
-        target_breaches=target,
-        other_breaches=other,
-        lawful=not other,
+        target_breaches=breaches[0],
+        other_breaches=breaches[1],
+        lawful=lawful,
         preventable=preventable,
         preventable_by=preventable_by,
         spare_m=None if clear is None else clear.spare_m,
         spare_s=None if clear is None else clear.spare_s,
-        impact_left_mps=None if hits is None else hits.impact_mps,
-        valid_failure=valid,
+        impact_left_mps=None if colliding is None else colliding.impact_mps,
+        valid_failure=fault.at_fault is AtFault.TARGET or (lawful and bool(preventable)),
         solvable=solvable,
         unavoidable=_unavoidable(preventable_by, solvable),
         not_judged=not_judged,
-        sentence=sentence_of(met, (target, other), fault, yardstick, preventable_by, not_judged, solvable),
+        sentence=sentence_of(case, breaches, fault, yardstick, preventable_by, not_judged, solvable),
         drives=drives,
     )
 
@@ -132,24 +132,24 @@ def judge(
 def avoids(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> bool:
-    """Return whether *drive* does not collide with anybody who counts; arguments as of :func:`held_against`."""
+    """Return whether *drive* has no collision that counts; arguments as in :func:`held_against`."""
     return not held_against(record, collision, drive, pusher)
 
 
 def held_against(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> tuple[Touch, ...]:
-    """Return the collisions of *drive* that count; being run into from behind by a third does not.
+    """Return the collisions of *drive* that count.
 
-    It does where that third, *pusher*, pushed the target into the collision: the driver would have been pushed, too.
-    Neither does it count when the third comes into its rear after the record's end, or overlapped the target already
-    as the driver took over.
+    A third road user does not count if it runs into the driver's rear, also after the record's end, or if it overlapped
+    the target already when the driver took over. The third in row *pusher*, which pushed the target into *collision*,
+    does count: it would have pushed the driver, too.
     """
-    counted = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}
+    counting = {record.tracks.ids[row] for row in (collision.rows[1], pusher) if row is not None}
     return tuple(
         touch
         for touch in drive.touches
-        if touch.name in counted or not (touch.from_behind or touch.from_start)
+        if touch.name in counting or not (touch.from_behind or touch.from_start)
     )
 
 
@@ -159,18 +159,18 @@ def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool
     return None if solvable is None else True
 
 
-def _not_judged(view: TrafficView, met: Encounter, driven: bool) -> tuple[str, ...]:
-    links = [party.link for party in met.parties]
+def _not_judged(view: TrafficView, case: Encounter, has_drives: bool) -> tuple[str, ...]:
+    links = [party.link for party in case.parties]
     missing = []
     if not view.signals and any(link is not None and link.tls_id is not None for link in links):
         missing.append("red lights (no signals recorded)")
-    if way_is_unknown(view, met):
+    if way_is_unknown(view, case):
         missing.append("right of way (no signals recorded)")
-    if met.crossing and None in links:
+    if case.crossing and None in links:
         missing.append("right of way (no connection over the junction fits)")
-    if met.collision.rows[0] not in view.routes:
+    if case.collision.rows[0] not in view.routes:
         missing.append("the target's way beyond what it drove (no route recorded)")
-    if not driven:
+    if not has_drives:
         missing.append("whether it was preventable (contact at the first instant)")
     return tuple(missing)
 

@@ -1,4 +1,4 @@
-"""What a breach is."""
+"""Breaches of traffic rules and their kinds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class BreachKind(StrEnum):
-    """Traffic rules that a road user can break; the words of tables."""
+    """Traffic rules that a road user can break; the values appear in tables."""
 
     RED_LIGHT = "red_light"
     WRONG_SIDE = "wrong_side"
@@ -25,10 +25,10 @@ class Breach:
     """A traffic rule that a road user broke.
 
     Attributes:
-        kind: which rule.
-        row: who.
-        time_s: when, since the episode's start.
-        text: what it did, to follow its name: "entered the junction on red".
+        kind: the rule.
+        row: row of the road user.
+        time_s: time since the episode's start.
+        text: what it did, as a phrase that follows its name: "entered the junction on red".
     """
 
     kind: BreachKind

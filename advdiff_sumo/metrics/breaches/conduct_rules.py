@@ -1,4 +1,4 @@
-"""Rules that need no partner: speed limits, reversing, staying on the road; and what makes them concern a collision."""
+"""Speeding, reversing and leaving the road, and whether such a breach led to a collision."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter
 from advdiff_sumo.metrics.offroad import OFF_ROAD_SHARE, shares
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-#: Faster than this share of the limit is a breach.
+#: Driving faster than this share of the limit, for at least ``_SPEEDING_S``, is a breach.
 SPEEDING_SHARE = 1.2
-#: For at least so long; a moment's overshoot is none.
 _SPEEDING_S = 0.5
-#: Driving backwards faster than this, for at least so far within a second, is reversing; jitter of a log is not.
+#: Driving backwards faster than this, over at least ``_REVERSED_M`` within a second, is reversing; less is log noise.
 REVERSING_MPS = 0.1
 _REVERSED_M = 0.2
 _ROUNDING_M = 1e-9
-#: Slower than this, a vehicle off the road is a parked one.
+#: A vehicle off the road that is slower than this is parked.
 _OFF_ROAD_MPS = 0.5
-#: Approaching the other slower than this did not lead to the contact.
+#: Speeding led to the contact only if the party approached the other at least this fast.
 _CLOSING_MPS = 1.0
 _OFF_ROAD_EVERY_S = 0.5
-_WINDOWLESS = (AgentClass.PEDESTRIAN, AgentClass.BICYCLE)
+#: Road users that may leave the road.
+_MAY_LEAVE_ROAD = (AgentClass.PEDESTRIAN, AgentClass.BICYCLE)
 
 
-def speeding(view: TrafficView, met: Encounter, which: int) -> Breach | None:
-    """Return the breach of having driven at over 1.2 × the limit and closed in on the other by that."""
-    party = met.parties[which]
-    start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
-    if party.is_pedestrian or closing_mps(met, which) < _CLOSING_MPS or met.is_run_into(which):
+def speeding(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+    """Return the breach of having driven at over 1.2 × the limit while approaching the other."""
+    party = case.parties[index]
+    start = max(0, case.collision.step - view.steps(BREACH_WINDOW_S))
+    if party.is_pedestrian or closing_mps(case, index) < _CLOSING_MPS or case.is_run_into(index):
         return None
-    return drove_too_fast(view, party.row, start, met.collision.step + 1)
+    return drove_too_fast(view, party.row, start, case.collision.step + 1)
 
 
 def drove_too_fast(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
@@ -49,14 +49,14 @@ def drove_too_fast(view: TrafficView, row: int, start: int, stop: int) -> Breach
 
 
 def _limits_mps(view: TrafficView, row: int, start: int, stop: int) -> FloatArray:
-    """Return (N,) speed limits, inf off any lane."""
+    """Return (N,) speed limits; inf off any lane."""
     limits, lanes = view.road.legal_limits_mps, view.place(row, start, stop).lane
     return np.array([np.inf if lane is None else limits[lane] for lane in lanes], dtype=np.float64)
 
 
-def reversing(view: TrafficView, met: Encounter, which: int) -> Breach | None:
-    """Return the breach of reversing into the contact, or into the way of the other."""
-    party, step = met.parties[which], met.collision.step
+def reversing(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+    """Return the breach of reversing at the contact."""
+    party, step = case.parties[index], case.collision.step
     if party.is_pedestrian or party.speed_mps >= -REVERSING_MPS:
         return None
     return drove_backwards(view, party.row, max(0, step - view.steps(1.0)), step + 1)
@@ -66,23 +66,23 @@ def drove_backwards(view: TrafficView, row: int, start: int, stop: int) -> Breac
     """Return the breach of reversing at instants *start* to *stop* (exclusive)."""
     speed = view.tracks.speed_mps[row, start:stop]
     counted = np.where((speed > 0.0) | (speed < -REVERSING_MPS), speed, 0.0)
-    way_m = np.concatenate(([0.0], np.cumsum(counted))) * view.tracks.dt_s
-    if (np.maximum.accumulate(way_m) - way_m).max() < _REVERSED_M - _ROUNDING_M:
+    position_m = np.concatenate(([0.0], np.cumsum(counted))) * view.tracks.dt_s
+    if (np.maximum.accumulate(position_m) - position_m).max() < _REVERSED_M - _ROUNDING_M:
         return None
     return Breach(BreachKind.REVERSING, row, view.time_s(stop - 1), "was reversing")
 
 
-def off_road(view: TrafficView, met: Encounter, which: int) -> Breach | None:
+def off_road(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     """Return the breach of having left the road, unless the other ran into its rear."""
-    if met.is_run_into(which):
+    if case.is_run_into(index):
         return None
-    start = max(0, met.collision.step - view.steps(BREACH_WINDOW_S))
-    return drove_off_road(view, met.parties[which].row, start, met.collision.step + 1)
+    start = max(0, case.collision.step - view.steps(BREACH_WINDOW_S))
+    return drove_off_road(view, case.parties[index].row, start, case.collision.step + 1)
 
 
 def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach | None:
     """Return the breach of moving with over half the box off the road at instants *start* to *stop* (exclusive)."""
-    if view.tracks.classes[row] in _WINDOWLESS:
+    if view.tracks.classes[row] in _MAY_LEAVE_ROAD:
         return None
     steps = np.arange(stop - 1, start - 1, -max(1, view.steps(_OFF_ROAD_EVERY_S)))[::-1]
     steps = steps[view.tracks.valid[row, steps] & (view.tracks.speed_mps[row, steps] > _OFF_ROAD_MPS)]
@@ -95,12 +95,13 @@ def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach
     return Breach(BreachKind.OFF_ROAD, row, view.time_s(int(steps[off[0]])), "left the road")
 
 
-def closing_mps(met: Encounter, which: int) -> float:
-    """Return how fast the party itself approaches the other along the contact normal."""
-    normal = met.collision.normal if which == 0 else -met.collision.normal
-    return float(met.collision.velocity_mps[which] @ normal)
+def closing_mps(case: Encounter, index: int) -> float:
+    """Return the speed of the party itself towards the other along the contact normal."""
+    normal = case.collision.normal if index == 0 else -case.collision.normal
+    return float(case.collision.velocity_mps[index] @ normal)
 
 
 def _lasts(mask: BoolArray, count: int) -> bool:
+    """Return whether *mask* (T,) is True at *count* successive instants."""
     runs = np.convolve(mask.astype(np.int64), np.ones(count, dtype=np.int64), mode="valid")
     return bool(len(mask) >= count and (runs == count).any())

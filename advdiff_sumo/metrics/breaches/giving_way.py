@@ -1,9 +1,9 @@
-"""Giving way at junctions where nobody was hit: whom the target made brake hard.
+"""Failures of the target to give way at a junction, if it made another vehicle brake hard.
 
-To give way is not to make others change their speed or direction abruptly (Vienna Convention on Road Traffic, Art. 1).
-From the instant at which the target's front passed its line, each other vehicle with the right of way is taken to keep
-its speed on its recorded way, and the target to move as recorded. Where their boxes meet, the other must react within
-the response time and brake; above what one may be expected to brake, the target did not give way.
+Giving way means not making others change their speed or direction abruptly (Vienna Convention on Road Traffic, Art. 1).
+From the instant at which the target's front passes its line, the target moves as recorded. Each other vehicle with the
+right of way is assumed to keep its speed on its recorded way. If their boxes meet, the other must brake after the
+response time. If that takes more than the braking to be expected, the target did not give way.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from advdiff_sumo.metrics.kept_motion import (
 )
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-#: How far ahead is looked, s.
+#: Look-ahead time.
 AHEAD_S = 4.0
 
 
 def not_given_way(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
-    """Yield, for each junction that the target entered, the breach towards whom it made brake hardest.
+    """Yield, for each junction that the target entered, the breach towards the vehicle that had to brake hardest.
 
-    Red lights are a rule of their own. Signals that are not known, and people on foot, are not judged.
+    Entries on red are left to the rule for red lights. Entries with unknown signals, and pedestrians, are not judged.
 
     Args:
         record: the episode.
@@ -48,11 +48,12 @@ def not_given_way(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
     for entry in junction_entries(view, record.target):
         if entry.line_step == 0 or not _is_judged(view, entry):
             continue
-        brakes = ((_brake_mps2(record, view, entry, row), row) for row in _others(view, record.target, entry))
+        vehicles = _nearby_vehicles(view, record.target, entry)
+        brakes = ((_required_brake_mps2(record, view, entry, x), x) for x in vehicles)
         brake, row = max(brakes, default=(0.0, -1))
         if brake > EXPECTED_BRAKE_MPS2:
-            name, hard = view.tracks.ids[row], f"{brake:.1f} m/s²"
-            text = f"did not give way to '{name}', who had to brake at {hard} or more not to hit it"
+            name = view.tracks.ids[row]
+            text = f"did not give way to '{name}', who had to brake at {brake:.1f} m/s² or more not to hit it"
             yield Breach(BreachKind.RIGHT_OF_WAY, record.target, view.time_s(entry.line_step), text)
 
 
@@ -62,50 +63,52 @@ def _is_judged(view: TrafficView, entry: JunctionEntry) -> bool:
     return not (unknown or PROTECTED_GREEN in letters or ran_red(view, entry))
 
 
-def _others(view: TrafficView, target: int, entry: JunctionEntry) -> Iterator[int]:
-    """Yield who moves, and could be at the target's place soon, when the target passes its line."""
+def _nearby_vehicles(view: TrafficView, target: int, entry: JunctionEntry) -> Iterator[int]:
+    """Yield the rows of moving vehicles that could meet the target within ``AHEAD_S`` of its passing the line."""
     tracks, step = view.tracks, entry.line_step
-    away = np.hypot(*(tracks.xy_m[:, step] - tracks.xy_m[target, step]).T)
+    distance = np.hypot(*(tracks.xy_m[:, step] - tracks.xy_m[target, step]).T)
     reach = AHEAD_S * (np.abs(tracks.speed_mps[:, step]) + abs(tracks.speed_mps[target, step]))
-    near = away < reach + 0.5 * (tracks.size_m[:, 0] + tracks.size_m[target, 0])
+    near = distance < reach + 0.5 * (tracks.size_m[:, 0] + tracks.size_m[target, 0])
     drives = (
         tracks.valid[:, step] & (tracks.classes != AgentClass.PEDESTRIAN) & (tracks.speed_mps[:, step] > 0.0)
     )
     yield from (int(row) for row in np.flatnonzero(near & drives) if row != target)
 
 
-def _brake_mps2(record: EpisodeRecord, view: TrafficView, entry: JunctionEntry, row: int) -> float:
-    """Return how hard *row* had to brake for the target; 0 where it need not, or must give way itself."""
+def _required_brake_mps2(record: EpisodeRecord, view: TrafficView, entry: JunctionEntry, row: int) -> float:
+    """Return the deceleration that *row* needed to avoid the target.
+
+    0 if it needed none, has no right of way, drove too fast, or would have hit a third road user first.
+    """
     tracks, step = record.tracks, entry.line_step
     count, sizes = view.steps(AHEAD_S), tracks.size_m[[record.target, row]]
     target = gone_on(record, record.target, step, count)
-    met = contact_at(target, kept(record, row, step, step, count), *sizes)
-    if met is None or not _has_priority(view, entry, row) or _meets_another(record, row, step, met):
+    contact = contact_at(target, kept(record, row, step, step, count), *sizes)
+    if contact is None or not _has_priority(view, entry, row) or _hits_third(record, row, step, contact):
         return 0.0
     if drove_too_fast(view, row, max(0, step - view.steps(1.0)), step + 1) is not None:
         return 0.0
     way, speed = DrivenWay.of(tracks, row, step), float(tracks.speed_mps[row, step])
     for brake in BRAKES_MPS2:
-        if (
-            contact_at(target, way.at(braked_s_m(speed, float(brake), count + 1, tracks.dt_s)), *sizes)
-            is None
-        ):
+        braking = way.at(braked_s_m(speed, float(brake), count + 1, tracks.dt_s))
+        if contact_at(target, braking, *sizes) is None:
             return float(brake)
     return float(BRAKES_MPS2[-1])
 
 
 def _has_priority(view: TrafficView, entry: JunctionEntry, row: int) -> bool:
-    """Return whether the target must give way to *row*, by every way that it may take over the junction."""
-    came = next(
+    """Return whether the target must give way to *row*, on every link that *row* may take over the junction."""
+    own_entry = next(
         (x for x in junction_entries(view, row) if x.link.junction_id == entry.link.junction_id), None
     )
-    if came is not None and ran_red(view, came):
+    if own_entry is not None and ran_red(view, own_entry):
         return False
-    links = (came.link,) if came is not None else _links_ahead(view, entry, row)
-    return bool(links) and all(_is_owed(view, entry, link, came is not None) for link in links)
+    links = (own_entry.link,) if own_entry is not None else _links_ahead(view, entry, row)
+    return bool(links) and all(_link_has_priority(view, entry, x, own_entry is not None) for x in links)
 
 
 def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Link, ...]:
+    """Return the links that *row* uses or may take over the junction, as the target passes its line."""
     lane = view.place(row, entry.line_step, entry.line_step + 1).lane[0]
     if lane is not None and junction_of(view.road, lane) == entry.link.junction_id:
         link = view.road.link_over.get(lane)
@@ -113,8 +116,11 @@ def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Lin
     return links_onto(view.road, lane, entry.link.junction_id)
 
 
-def _is_owed(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool) -> bool:
-    """Return whether the net has the target give way to who takes *link*, and no signal stops that one."""
+def _link_has_priority(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool) -> bool:
+    """Return whether the target must by the net give way to a vehicle on *link*, and no signal stops that vehicle.
+
+    *entered*: the vehicle did enter the junction, so that its signal no longer matters.
+    """
     if not view.road.must_yield(entry.link, link) or view.road.must_yield(link, entry.link):
         return False
     if entered or link.tls_id is None or link.tls_index is None or not view.signals:
@@ -122,15 +128,17 @@ def _is_owed(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool)
     return link.signal(view.signals[entry.line_step]) in GREEN
 
 
-def _meets_another(record: EpisodeRecord, row: int, step: int, met: int) -> bool:
-    """Return whether *row*, keeping its speed, would run into somebody else before it meets the target."""
-    tracks = record.tracks
-    own = kept(record, row, step, step, met)
-    for other in np.flatnonzero(tracks.valid[:, step : step + met + 1].all(1)).tolist():
-        if other in (row, record.target):
+def _hits_third(record: EpisodeRecord, row: int, step: int, contact: int) -> bool:
+    """Return whether *row*, keeping its speed, would hit a third road user before it meets the target.
+
+    *contact* is the number of steps from *step* until it would meet the target.
+    """
+    tracks, part = record.tracks, slice(step, step + contact + 1)
+    own = kept(record, row, step, step, contact)
+    for third in np.flatnonzero(tracks.valid[:, part].all(1)).tolist():
+        if third in (row, record.target):
             continue
-        sizes = tracks.size_m[[row, other]]
-        there = Poses(tracks.xy_m[other, step : step + met + 1], tracks.yaw_rad[other, step : step + met + 1])
-        if len(there) == len(own) and contact_at(own, there, *sizes) is not None:
+        recorded = Poses(tracks.xy_m[third, part], tracks.yaw_rad[third, part])
+        if len(recorded) == len(own) and contact_at(own, recorded, *tracks.size_m[[row, third]]) is not None:
             return True
     return False

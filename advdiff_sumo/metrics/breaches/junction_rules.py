@@ -1,4 +1,4 @@
-"""Rules where ways cross or join: red lights, and giving way."""
+"""Rules at junctions and pedestrian crossings: red lights and giving way."""
 
 from __future__ import annotations
 
@@ -20,120 +20,121 @@ from advdiff_sumo.metrics.encounter import (
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-#: What who runs a red light did.
+#: Text of the breach of running a red light.
 ON_RED = "entered the junction on red"
-#: At a junction without rule, whoever came this much later gives way.
+#: At a junction without right of way, a vehicle that comes later by more than this gives way.
 ARRIVAL_MARGIN_S = 1.0
-#: A crossing is a line in the net; whoever walks within this distance of it is on it.
+#: Pedestrians within this distance of a crossing's centre line, which is all the net holds, are on the crossing.
 _CROSSING_HALF_WIDTH_M = 2.5
 
 
-def red_light(view: TrafficView, met: Encounter, which: int) -> Breach | None:
-    """Return the breach of entering the junction of *met* on red, unless the other came by the same approach."""
-    party = met.parties[which]
-    walker = met.parties[1 - which].is_pedestrian
-    if not (met.crossing or walker) or not ran_red(view, party) or not _lately(view, met, party):
+def red_light(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+    """Return the breach of entering the junction of *case* on red, unless the other came by the same approach."""
+    party = case.parties[index]
+    hit_pedestrian = case.parties[1 - index].is_pedestrian
+    if not (case.crossing or hit_pedestrian) or not ran_red(view, party) or not _is_recent(view, case, party):
         return None
-    return _breach(view, met, BreachKind.RED_LIGHT, party, ON_RED)
+    return _breach(view, case, BreachKind.RED_LIGHT, party, ON_RED)
 
 
-def right_of_way(view: TrafficView, met: Encounter, which: int) -> Breach | None:
-    """Return the breach of not giving way to the other at the junction, or at the crossing, of *met*.
+def right_of_way(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+    """Return the breach of not giving way to the other at the junction, or at the pedestrian crossing, of *case*.
 
-    Whoever has stood there for a second could be seen and is no longer the cause, and neither is one that joined
+    A party that has stood there for a second could be seen and did not cause the collision. Neither did one that joined
     the other's lane with a safe gap.
     """
-    party, other = met.parties[which], met.parties[1 - which]
+    party, other = case.parties[index], case.parties[1 - index]
     if party.stood or party.is_pedestrian or (other.stood and not other.is_pedestrian):
         return None
-    if way_is_unknown(view, met):
+    if way_is_unknown(view, case):
         return None
     if other.is_pedestrian:
-        return _crossing_breach(view, met, party, other)
-    if not met.crossing or not _lately(view, met, party):
+        return _crossing_breach(view, case, party, other)
+    if not case.crossing or not _is_recent(view, case, party):
         return None
     if (
         ran_red(view, party)
         or ran_red(view, other)
-        or joined_safely(met, which)
-        or not owes_way(view, met, which)
+        or joined_safely(case, index)
+        or not owes_way(view, case, index)
     ):
         return None
     return _breach(
-        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
+        view, case, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{other.name}' at the junction"
     )
 
 
-def disregarded(view: TrafficView, met: Encounter, walker: int) -> Breach | None:
-    """Return the breach by which the other drove into the one who walks: on red, or on a crossing; else None.
+def disregarded(view: TrafficView, case: Encounter, walker: int) -> Breach | None:
+    """Return the breach by which the other drove into a pedestrian: on red, or on a crossing; else None.
 
-    Of a crossing only where the other still had room to stop when the one who walks came over the kerb, or walked on.
+    On a crossing it counts only if the other still had room to stop when the pedestrian left the kerb or, after
+    standing, walked on.
 
     Args:
-        view: who is where.
-        met: the collision with its circumstances.
-        walker: 0 or 1, who may be walking.
+        view: the traffic.
+        case: the collision with its circumstances.
+        walker: index of the party that may be a pedestrian, 0 or 1.
     """
-    if not met.parties[walker].is_pedestrian:
+    if not case.parties[walker].is_pedestrian:
         return None
-    on_red = red_light(view, met, 1 - walker)
-    if on_red is not None or not _could_stop(view, met, walker):
+    on_red = red_light(view, case, 1 - walker)
+    if on_red is not None or not _could_stop(view, case, walker):
         return on_red
-    return right_of_way(view, met, 1 - walker)
+    return right_of_way(view, case, 1 - walker)
 
 
-def _could_stop(view: TrafficView, met: Encounter, walker: int) -> bool:
-    """Return whether the other had the safe gap to the place of the contact as *walker* came onto the crossing."""
-    tracks, hit = view.tracks, met.collision
-    other = met.parties[1 - walker].row
-    begun = _set_foot(view, met.parties[walker], hit.step, tracks.valid[other])
-    way = np.vstack((tracks.xy_m[other, begun : hit.step + 1], hit.xy_m[hit.rows.index(other)]))
-    left_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-    return left_m >= safe_gap_m(abs(float(tracks.speed_mps[other, begun])), 0.0)
+def _could_stop(view: TrafficView, case: Encounter, walker: int) -> bool:
+    """Return whether the other had the safe gap to the point of contact when *walker* came onto the crossing."""
+    tracks, hit = view.tracks, case.collision
+    other = case.parties[1 - walker].row
+    begin = _walks_on_crossing_since(view, case.parties[walker], hit.step, tracks.valid[other])
+    path = np.vstack((tracks.xy_m[other, begin : hit.step + 1], hit.xy_m[hit.rows.index(other)]))
+    distance_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return distance_m >= safe_gap_m(abs(float(tracks.speed_mps[other, begin])), 0.0)
 
 
-def _set_foot(view: TrafficView, walker: Party, last: int, seen: BoolArray) -> int:
-    """Return the instant since which *walker* has walked on a crossing, shorter pauses than ``STOOD_S`` included.
+def _walks_on_crossing_since(view: TrafficView, walker: Party, last: int, other_present: BoolArray) -> int:
+    """Return the instant since which *walker* has walked on a crossing, with pauses of at most ``STOOD_S``.
 
     Args:
-        view: who is where.
-        walker: who walks.
+        view: the traffic.
+        walker: the pedestrian.
         last: instant before the contact.
-        seen: (T,) instants at which the other is there.
+        other_present: (T,) whether the other is present.
     """
-    tracks, row, begun, roadways = view.tracks, walker.row, last, _roadways(view)
+    tracks, row, begin, areas = view.tracks, walker.row, last, _crossing_areas(view)
     for step in range(last - 1, max(-1, last - view.steps(BREACH_WINDOW_S) - 1), -1):
-        if not (seen[step] and tracks.valid[row, step]) or begun - step > view.steps(STOOD_S):
+        if not (other_present[step] and tracks.valid[row, step]) or begin - step > view.steps(STOOD_S):
             break
-        if not any(line.intersects(shapely.Point(tracks.xy_m[row, step])) for line in roadways):
+        if not any(area.intersects(shapely.Point(tracks.xy_m[row, step])) for area in areas):
             break
         if abs(float(tracks.speed_mps[row, step])) > LEAST_SPEED_MPS:
-            begun = step
-    return begun
+            begin = step
+    return begin
 
 
-def _roadways(view: TrafficView) -> list[shapely.Polygon]:
-    """Return where crossings are, from kerb to kerb."""
-    lines = (shapely.LineString(xy) for xy in _crossings(view))
+def _crossing_areas(view: TrafficView) -> list[shapely.Polygon]:
+    """Return the areas of pedestrian crossings, from kerb to kerb."""
+    lines = (shapely.LineString(xy) for xy in _crossing_lines(view))
     return [line.buffer(_CROSSING_HALF_WIDTH_M, cap_style="flat") for line in lines]
 
 
-def _crossings(view: TrafficView) -> list[FloatArray]:
-    """Return the middle lines (N, 2) of pedestrian crossings."""
+def _crossing_lines(view: TrafficView) -> list[FloatArray]:
+    """Return the centre lines (N, 2) of pedestrian crossings."""
     shapes = view.road.pedestrian_shapes  # of crossings ":JUNCTION_c0" and walking areas ":JUNCTION_w0"
     return [xy for name, xy in shapes.items() if name.rpartition("_")[2].startswith("c") and len(xy) > 1]
 
 
 def ran_red(view: TrafficView, party: Party | JunctionEntry) -> bool:
-    """Return whether *party* entered the junction while its signal was red, from its front's passing the line on."""
+    """Return whether the signal of *party* was red from when its front passed the line until its centre entered."""
     states = signals_at_entry(view, party)
     return bool(states) and all(state in RED for state in states)
 
 
 def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[str]:
-    """Return the letters of the signal of *party* from the instant before its front passed the line to its entry.
+    """Return the signal letters of *party* at each instant from just before its front passed the line to its entry.
 
-    [] if unknown. Who waits with its front over the line enters by what it sees as it goes on.
+    [] if unknown. The whole span counts because a vehicle may wait with its front over the line.
     """
     link, first, last = party.link, party.line_step, party.entered_step
     if link is None or link.tls_id is None or link.tls_index is None or link.tls_index < 0:
@@ -144,62 +145,67 @@ def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[st
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
 
 
-def way_is_unknown(view: TrafficView, met: Encounter) -> bool:
-    """Return whether a light said who goes at the junction, or the crossing, of *met*, and no signals of it are held.
+def way_is_unknown(view: TrafficView, case: Encounter) -> bool:
+    """Return whether a light with unknown signals controls the junction, or the crossing, of *case*.
 
-    Rows of the net then tell nothing: they are for vehicles that have a green at once.
+    The net's right-of-way rows then decide nothing: they apply to vehicles that have green at the same time.
     """
-    lights = {party.link.tls_id for party in met.parties if party.link is not None} - {None}
+    lights = {party.link.tls_id for party in case.parties if party.link is not None} - {None}
     if not any(all(light not in states for states in view.signals) for light in lights):
         return False
-    return met.crossing or any(
-        x.is_pedestrian and on_crossing(view, x, met.collision.step) for x in met.parties
+    return case.crossing or any(
+        x.is_pedestrian and on_crossing(view, x, case.collision.step) for x in case.parties
     )
 
 
-def owes_way(view: TrafficView, met: Encounter, which: int) -> bool:
-    """Return whether the party must give way: by the net, or, where neither or both must, as the later to come."""
-    yields = must_yield(view, *met.parties), must_yield(view, *met.parties[::-1])
-    if yields[0] != yields[1]:
-        return yields[which]
-    later_s = later_by_s(view, met)
+def owes_way(view: TrafficView, case: Encounter, index: int) -> bool:
+    """Return whether the party must give way: by the net or, if that obliges neither or both, by coming later."""
+    obliged = must_yield(view, *case.parties), must_yield(view, *case.parties[::-1])
+    if obliged[0] != obliged[1]:
+        return obliged[index]
+    later_s = later_by_s(view, case)
     if later_s is None:
         return False
-    return (later_s if which == 0 else -later_s) > ARRIVAL_MARGIN_S
+    return (later_s if index == 0 else -later_s) > ARRIVAL_MARGIN_S
 
 
-def later_by_s(view: TrafficView, met: Encounter) -> float | None:
-    """Return by how much the target's front came later than the other's; None where they were not seen."""
-    target, other = met.target.line_step, met.other.line_step
+def later_by_s(view: TrafficView, case: Encounter) -> float | None:
+    """Return how much later than the other the target passed its line; None if unknown."""
+    target, other = case.target.line_step, case.other.line_step
     return None if target is None or other is None else (target - other) * view.tracks.dt_s
 
 
 def must_yield(view: TrafficView, party: Party, to: Party) -> bool:
-    """Return whether the net has *party* give way to *to*; who enters on a protected green never does."""
+    """Return whether *party* must give way to *to* by the net; one that enters on a protected green never must."""
     if party.link is None or to.link is None or PROTECTED_GREEN in signals_at_entry(view, party):
         return False
     return view.road.must_yield(party.link, to.link)
 
 
-def _lately(view: TrafficView, met: Encounter, party: Party) -> bool:
+def _is_recent(view: TrafficView, case: Encounter, party: Party) -> bool:
+    """Return whether *party* entered the junction within ``BREACH_WINDOW_S``, or at an unknown time."""
     entered = party.entered_step
-    return entered is None or met.collision.step - entered <= view.steps(BREACH_WINDOW_S)
+    return entered is None or case.collision.step - entered <= view.steps(BREACH_WINDOW_S)
 
 
-def joined_safely(met: Encounter, which: int) -> bool:
-    """Return whether the other ran into the rear of the party, which had joined its way with a safe gap."""
-    entry = met.entry
-    if entry is None or entry.row != met.parties[which].row or not entry.ahead:
+def joined_safely(case: Encounter, index: int) -> bool:
+    """Return whether the other ran into the rear of the party after the party had joined its way with a safe gap."""
+    entry = case.entry
+    if entry is None or entry.row != case.parties[index].row or not entry.ahead:
         return False
-    return (entry.safe or entry.recovered) and met.is_run_into(which)
+    return (entry.safe or entry.recovered) and case.is_run_into(index)
 
 
-def _crossing_breach(view: TrafficView, met: Encounter, party: Party, walker: Party) -> Breach | None:
-    """Return the breach of running into somebody on a crossing, unless the driver had a protected green."""
-    if PROTECTED_GREEN in signals_at_entry(view, party) or not on_crossing(view, walker, met.collision.step):
+def _crossing_breach(view: TrafficView, case: Encounter, party: Party, walker: Party) -> Breach | None:
+    """Return the breach of running into a pedestrian on a crossing, unless the driver had a protected green."""
+    if PROTECTED_GREEN in signals_at_entry(view, party) or not on_crossing(view, walker, case.collision.step):
         return None
     return _breach(
-        view, met, BreachKind.RIGHT_OF_WAY, party, f"did not give way to '{walker.name}' on the crossing"
+        view,
+        case,
+        BreachKind.RIGHT_OF_WAY,
+        party,
+        f"did not give way to '{walker.name}' on the crossing",
     )
 
 
@@ -207,10 +213,10 @@ def on_crossing(view: TrafficView, walker: Party, step: int) -> bool:
     """Return whether *walker* is on a pedestrian crossing at instant *step*."""
     tracks, row = view.tracks, walker.row
     box = shapely.Polygon(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))
-    return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in _crossings(view))
+    return any(shapely.LineString(xy).distance(box) <= _CROSSING_HALF_WIDTH_M for xy in _crossing_lines(view))
 
 
-def _breach(view: TrafficView, met: Encounter, kind: BreachKind, party: Party, text: str) -> Breach:
-    """Return the breach as of the entry into the junction; of the contact where that was not seen."""
-    step = met.collision.step if party.entered_step is None else party.entered_step
+def _breach(view: TrafficView, case: Encounter, kind: BreachKind, party: Party, text: str) -> Breach:
+    """Return the breach, with the time of the entry into the junction; of the contact if that is unknown."""
+    step = case.collision.step if party.entered_step is None else party.entered_step
     return Breach(kind, party.row, view.time_s(step), text)

@@ -1,4 +1,4 @@
-"""Rules that the target broke of itself, whether or not it led to a collision: what a test engineer files as well."""
+"""Traffic rules that the target broke, whether or not this led to a collision."""
 
 from __future__ import annotations
 
@@ -27,20 +27,22 @@ OF_ITSELF = frozenset(
     }
 )
 """Rules that a target can break without a collision."""
-#: Against the direction of traffic for at least so long, looked at so often, and faster than this.
-WRONG_SIDE_S, _EVERY_S, _MOVES_MPS = 1.5, 0.5, 1.0
+#: Driving against the direction of traffic is an offence if it lasts at least this long.
+WRONG_SIDE_S = 1.5
+# It is checked at this interval, and only while the target is faster than this.
+_EVERY_S, _MOVING_MPS = 0.5, 1.0
 _ROUNDING = 1e-6
 
 
 def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
-    """Return the rules that the target broke, in the order of time; speed, side and direction once at most.
+    """Return the rules that the target broke, in time order; speeding, wrong side and reversing at most once each.
 
-    Leaving the road is a collision, and not among them. A red light counts where the signal was red from the instant
-    before the front passed the line until the centre was on the junction, and giving way where somebody with the right
-    of way had to brake hard (:mod:`~advdiff_sumo.metrics.breaches.giving_way`).
+    Leaving the road counts as a collision and is not included. A red light counts if the signal was red from the
+    instant before the front passed the line until the centre was on the junction. Giving way counts if a vehicle with
+    the right of way had to brake hard (:mod:`~advdiff_sumo.metrics.breaches.giving_way`).
 
     Args:
-        record: the episode; without signals it has no red lights.
+        record: the episode; without signals there are no red lights.
         road: its map.
     """
     if record.tracks.classes[record.target] == AgentClass.PEDESTRIAN:
@@ -52,12 +54,12 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )
-    return tuple(sorted(breaches, key=lambda one: one.time_s))
+    return tuple(sorted(breaches, key=lambda x: x.time_s))
 
 
-def offences_sentence(some: Sequence[Breach]) -> str:
-    """Return *some* as a sentence: "The target entered the junction on red (4.2 s)."; "" for none."""
-    return f"The target {', '.join(f'{one.text} ({one.time_s:.1f} s)' for one in some)}." if some else ""
+def offences_sentence(breaches: Sequence[Breach]) -> str:
+    """Return *breaches* as a sentence: "The target entered the junction on red (4.2 s)."; "" for none."""
+    return f"The target {', '.join(f'{x.text} ({x.time_s:.1f} s)' for x in breaches)}." if breaches else ""
 
 
 def _red_lights(view: TrafficView, row: int) -> Iterator[Breach]:
@@ -67,32 +69,32 @@ def _red_lights(view: TrafficView, row: int) -> Iterator[Breach]:
 
 
 def _speed_and_direction(view: TrafficView, row: int) -> Iterator[Breach]:
-    """Yield the greatest excess of the limit, and the first instant at which it reverses by the rule of contacts."""
+    """Yield speeding, where it is worst, and the first reversing, judged over one second as at a contact."""
     stop, second = view.tracks.steps, view.steps(1.0)
     too_fast = drove_too_fast(view, row, 0, stop)
-    back = np.flatnonzero(view.tracks.speed_mps[row] < -REVERSING_MPS).tolist()
-    backwards = (drove_backwards(view, row, max(0, k - second), k + 1) for k in back)
-    for one in (too_fast, next((one for one in backwards if one is not None), None)):
-        if one is not None:
-            yield one
+    backward_steps = np.flatnonzero(view.tracks.speed_mps[row] < -REVERSING_MPS).tolist()
+    reversals = (drove_backwards(view, row, max(0, k - second), k + 1) for k in backward_steps)
+    for breach in (too_fast, next((x for x in reversals if x is not None), None)):
+        if breach is not None:
+            yield breach
 
 
 def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
-    """Yield the first time that it goes on against its lane, or on one of the opposite direction, between junctions."""
+    """Yield the first stretch between junctions that it drives against its lane or on one of the opposite direction."""
     tracks, lanes, every = view.tracks, view.place(row, 0, view.tracks.steps), max(1, view.steps(_EVERY_S))
-    count, looks = 0, math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
-    for at in range(0, tracks.steps, every):
-        name = lanes.lane[at]
-        drives = tracks.valid[row, at] and tracks.speed_mps[row, at] > _MOVES_MPS
-        between = name is None or not view.road.lanes[name].is_internal
-        against = drives and between and _is_against(view, row, lanes, at)
+    count, needed = 0, math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
+    for k in range(0, tracks.steps, every):
+        name = lanes.lane[k]
+        moving = tracks.valid[row, k] and tracks.speed_mps[row, k] > _MOVING_MPS
+        off_junction = name is None or not view.road.lanes[name].is_internal
+        against = moving and off_junction and _is_against_traffic(view, row, lanes, k)
         count = count + 1 if against else 0
-        if count == looks:
+        if count == needed:
             text = "drove on the wrong side of the road"
-            yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(at - count * every + every), text)
+            yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(k - count * every + every), text)
             return
 
 
-def _is_against(view: TrafficView, row: int, lanes: Placement, at: int) -> bool:
-    turned = np.abs(lanes.yaw_error_rad[at]) > WRONG_WAY_RAD and lanes.lane[at] is not None
-    return bool(turned or on_opposite_lane(view, row, lanes, at, 0))
+def _is_against_traffic(view: TrafficView, row: int, lanes: Placement, instant: int) -> bool:
+    wrong_way = np.abs(lanes.yaw_error_rad[instant]) > WRONG_WAY_RAD and lanes.lane[instant] is not None
+    return bool(wrong_way or on_opposite_lane(view, row, lanes, instant, 0))

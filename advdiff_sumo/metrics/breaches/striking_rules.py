@@ -1,4 +1,4 @@
-"""Running into somebody who stood, or braked as one must expect; and being pushed by a third."""
+"""Running into a road user that stood or braked as must be expected; being pushed by a third."""
 
 from __future__ import annotations
 
@@ -11,87 +11,90 @@ from advdiff_sumo.metrics.collision import tracks_collisions
 from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter, Party
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-#: Braking that one must expect of whoever drives ahead.
+#: Braking of a leader that a follower must expect.
 EXPECTED_BRAKE_MPS2 = 4.0
-#: Braking is measured over this time; a single step of a log is noise.
+#: Braking is measured over this time, since single steps of a log are noisy.
 _BRAKE_OVER_S = 0.5
-#: Braking that ended longer ago than this is over.
+#: Braking that ended longer ago than this does not count.
 _BRAKE_WITHIN_S = 3.0
-_BRAKE_SLACK_MPS2 = 0.05
+_BRAKE_TOLERANCE_MPS2 = 0.05
+#: Only agents that come within this distance may have pushed the party.
+_NEAR_M = 20.0
 
 
-def ran_into(view: TrafficView, met: Encounter, which: int, excused: bool) -> Breach | None:
-    """Return the breach of running, with the front, into somebody who could be expected there.
+def ran_into(view: TrafficView, case: Encounter, index: int, excused: bool) -> Breach | None:
+    """Return the breach of running with the front into a road user that could be expected there.
 
-    That is somebody who has stood for a second; who drove ahead and braked by no more than 4 m/s²; or who entered
-    the lane with a safe gap.
+    The other has stood for a second, or drove ahead and braked at no more than 4 m/s², or entered the lane with a safe
+    gap.
 
     Args:
-        view: who is where.
-        met: the collision with its circumstances.
-        which: 0 or 1, whose breach.
-        excused: the other broke a rule that put it there.
+        view: the traffic.
+        case: the collision with its circumstances.
+        index: index of the party, 0 or 1.
+        excused: whether the other broke a rule that put it there.
     """
-    party, other = met.parties[which], met.parties[1 - which]
+    party, other = case.parties[index], case.parties[1 - index]
     if party.is_pedestrian or party.stands or party.face != "front" or excused:
         return None
-    if pushed_by(view, met, which) is not None:
+    if pushed_by(view, case, index) is not None:
         return None
-    text = _struck(view, met, other)
-    return None if text is None else Breach(BreachKind.RAN_INTO, party.row, met.collision.time_s, text)
+    text = _striking_text(view, case, other)
+    return None if text is None else Breach(BreachKind.RAN_INTO, party.row, case.collision.time_s, text)
 
 
-def _struck(view: TrafficView, met: Encounter, other: Party) -> str | None:
+def _striking_text(view: TrafficView, case: Encounter, other: Party) -> str | None:
+    """Return the phrase for running into *other*; None if it could not be expected there."""
     name = f"'{other.name}'"
     if other.stood:
         return f"ran into {name}, which stood"
-    same_way = met.collision.heading_difference_rad <= SAME_WAY_RAD
-    hard = hardest_brake_mps2(view, other.row, met.collision.step) > EXPECTED_BRAKE_MPS2 + _BRAKE_SLACK_MPS2
+    same_way = case.collision.heading_difference_rad <= SAME_WAY_RAD
+    braking = hardest_brake_mps2(view, other.row, case.collision.step)
+    hard = braking > EXPECTED_BRAKE_MPS2 + _BRAKE_TOLERANCE_MPS2
     if same_way and other.face == "rear" and not hard:
         return f"ran into the rear of {name}"
-    entry = met.entry
-    visible = entry is not None and entry.row == other.row and (entry.safe or entry.recovered)
-    if visible and not hard and not met.crossing and not (entry is not None and entry.oncoming):
+    entry = case.entry
+    entered_safely = entry is not None and entry.row == other.row and (entry.safe or entry.recovered)
+    if entered_safely and not hard and not case.crossing and not (entry is not None and entry.oncoming):
         return f"ran into {name}, which had entered its lane with room to brake"
     return None
 
 
 def hardest_brake_mps2(view: TrafficView, row: int, step: int) -> float:
-    """Return the hardest braking of agent *row* over half a second within the last three before *step*."""
-    over = max(1, view.steps(_BRAKE_OVER_S))
+    """Return the hardest braking of agent *row*, averaged over half a second, in the three seconds before *step*."""
+    count = max(1, view.steps(_BRAKE_OVER_S))
     speed = np.abs(view.tracks.speed_mps[row, max(0, step - view.steps(_BRAKE_WITHIN_S)) : step + 1])
     speed = speed[np.isfinite(speed)]
-    over = min(over, len(speed) - 1)
-    if over < 1:
+    count = min(count, len(speed) - 1)
+    if count < 1:
         return 0.0
-    braking: FloatArray = (speed[:-over] - speed[over:]) / (over * view.tracks.dt_s)
+    braking: FloatArray = (speed[:-count] - speed[count:]) / (count * view.tracks.dt_s)
     return float(max(0.0, braking.max()))
 
 
-def pushed_by(view: TrafficView, met: Encounter, which: int) -> int | None:
-    """Return the row of a third road user that ran into the party from behind or the side before; None: nobody."""
-    party, step = met.parties[which], met.collision.step
+def pushed_by(view: TrafficView, case: Encounter, index: int) -> int | None:
+    """Return the row of a third road user that ran into the party's rear or side before; None without one."""
+    party, step = case.parties[index], case.collision.step
     start = max(0, step - view.steps(BREACH_WINDOW_S))
-    near = _around(view, party.row, start, step)
+    near = _nearby_rows(view, party.row, start, step)
     if len(near) < 2:
         return None
     tracks = view.tracks.window(start, step + 2).rows(near)
     for contact in tracks_collisions(tracks, near.index(party.row)):
         first, second = (near[i] for i in contact.rows)
         third = second if first == party.row else first
-        earlier = contact.time_s < met.collision.time_s and not contact.initial
-        if party.row not in (first, second) or third == met.parties[1 - which].row or not earlier:
+        earlier = contact.time_s < case.collision.time_s and not contact.initial
+        if party.row not in (first, second) or third == case.parties[1 - index].row or not earlier:
             continue
-        own, its = contact.faces if first == party.row else contact.faces[::-1]
-        if own != "front" and its == "front":
+        own_face, third_face = contact.faces if first == party.row else contact.faces[::-1]
+        if own_face != "front" and third_face == "front":
             return third
     return None
 
 
-def _around(view: TrafficView, row: int, start: int, step: int) -> list[int]:
-    """Return the rows of agents that come within 20 m of agent *row*, itself included."""
-    span = slice(start, step + 2)
-    xy = view.tracks.xy_m[:, span]
-    apart = np.hypot(*np.moveaxis(xy - xy[row], -1, 0))
-    near = np.nan_to_num(apart, nan=np.inf).min(axis=1) < 20.0
+def _nearby_rows(view: TrafficView, row: int, start: int, step: int) -> list[int]:
+    """Return the rows of agents that come within ``_NEAR_M`` of agent *row*, itself included."""
+    xy = view.tracks.xy_m[:, start : step + 2]
+    distance = np.hypot(*np.moveaxis(xy - xy[row], -1, 0))
+    near = np.nan_to_num(distance, nan=np.inf).min(axis=1) < _NEAR_M
     return [int(i) for i in np.flatnonzero(near)]

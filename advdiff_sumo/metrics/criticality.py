@@ -1,6 +1,6 @@
-"""How near the target came to a collision: clearance and time to collision of boxes in the plane.
+"""Clearance and time to collision between the target's box and those of others, in the plane.
 
-Both look at instants, from the start to the last instant before the target's first collision. See also
+Both are evaluated at instants, from the start to the last one before the target's first collision. See also
 ``following`` (same lane) and ``encroachment`` (crossing paths).
 """
 
@@ -15,9 +15,10 @@ from advdiff_sumo.core.boxes import axis_gaps, corners, distance
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.kinematics import velocities
 
-#: Later contacts are not looked for.
+#: Later contacts do not count.
 TTC_HORIZON_S = 10.0
-_AT_ONCE = 1e-12
+#: Rates below this are 0.
+_LEAST_RATE_MPS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Extreme:
     Attributes:
         value: the value, in the unit of the measure.
         row: the other agent.
-        time_s: when, since the episode's start.
+        time_s: time since the episode's start.
     """
 
     value: float
@@ -36,7 +37,7 @@ class Extreme:
 
 
 def least(values: FloatArray, tracks: Tracks) -> Extreme | None:
-    """Return the smallest finite of *values* (A, T); of equals the earliest, then the lowest row."""
+    """Return the smallest finite of *values* (A, T); of equal ones the earliest, then the lowest row."""
     if not np.isfinite(values).any():
         return None
     by_time = np.where(np.isfinite(values), values, np.inf).T
@@ -45,13 +46,12 @@ def least(values: FloatArray, tracks: Tracks) -> Extreme | None:
 
 
 def time_to_collision(tracks: Tracks, target: int) -> FloatArray:
-    """Return (A, T) seconds until the boxes of each agent and the target meet, if both went on as they are.
+    """Return (A, T) seconds until the boxes of each agent and the target meet at constant velocity and heading.
 
-    Constant velocity (from positions) and constant heading, up to ``TTC_HORIZON_S``; inf when they do not
-    meet by then, 0 when they overlap already, NaN where one is absent and for the target itself. Exact: two
-    boxes that only translate overlap while they overlap along each of the four separating axes, and each axis
-    gives one interval of time. Hayward (1972), "Near-miss determination through use of a scale of danger",
-    for boxes instead of points.
+    Velocities come from positions. inf if they do not meet within ``TTC_HORIZON_S``, 0 if they overlap already, NaN
+    where one is absent and for the target itself. The result is exact: two boxes that only translate overlap while they
+    overlap along each of the four separating axes, and each axis gives one interval of time. Hayward (1972), "Near-miss
+    determination through use of a scale of danger", for boxes instead of points.
     """
     velocity = velocities(tracks)
     half = np.broadcast_to(0.5 * tracks.size_m[:, None], tracks.xy_m.shape)
@@ -68,7 +68,13 @@ def time_to_collision(tracks: Tracks, target: int) -> FloatArray:
 
 
 def meeting_s(gaps: FloatArray, along: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return when boxes meet whose gaps and offsets (…, 4) along separating axes change at *rate*; inf: never."""
+    """Return (…,) when two boxes meet; inf for never.
+
+    Args:
+        gaps: (…, 4) gaps along the four separating axes.
+        along: (…, 4) offsets along them.
+        rate: (…, 4) rates of change of the offsets.
+    """
     enter, leave = _overlap_times(np.abs(along) - gaps, along, rate)
     start, end = enter.max(-1), leave.min(-1)
     meets = (start < end) & (end > 0.0) & (start <= TTC_HORIZON_S)
@@ -77,31 +83,31 @@ def meeting_s(gaps: FloatArray, along: FloatArray, rate: FloatArray) -> FloatArr
 
 def _overlap_times(reach: FloatArray, along: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return when |along + rate t| < reach begins and ends; (−inf, inf) for always, (inf, −inf) for never."""
-    still = np.abs(rate) < _AT_ONCE
-    safe = np.where(still, 1.0, rate)
-    one, other = (-reach - along) / safe, (reach - along) / safe
-    never = np.where(np.abs(along) < reach, -np.inf, np.inf)
+    constant = np.abs(rate) < _LEAST_RATE_MPS
+    divisor = np.where(constant, 1.0, rate)
+    at_minus_reach, at_reach = (-reach - along) / divisor, (reach - along) / divisor
+    constant_begin = np.where(np.abs(along) < reach, -np.inf, np.inf)
     return (
-        np.where(still, never, np.minimum(one, other)),
-        np.where(still, -never, np.maximum(one, other)),
+        np.where(constant, constant_begin, np.minimum(at_minus_reach, at_reach)),
+        np.where(constant, -constant_begin, np.maximum(at_minus_reach, at_reach)),
     )
 
 
 def clearances(tracks: Tracks, target: int) -> FloatArray:
-    """Return (A, T) distances between each agent's box and the target's where they may be the smallest.
+    """Return (A, T) distances between each agent's box and the target's, where they may be the smallest.
 
-    Entries that cannot be the smallest of their instant are inf: their circles are farther apart than some centres
-    are. NaN where an agent is absent and for the target itself; 0 when boxes overlap.
+    inf where a distance cannot be the smallest of its instant, because the circles around the boxes are farther apart
+    than the nearest centre is. NaN where an agent is absent and for the target itself; 0 if the boxes overlap.
     """
     offset = tracks.xy_m - tracks.xy_m[target]
-    between = np.hypot(offset[..., 0], offset[..., 1])
-    between[target] = np.nan
-    distant = np.where(np.isnan(between), np.inf, between)
+    centre_distance = np.hypot(offset[..., 0], offset[..., 1])
+    centre_distance[target] = np.nan
+    or_inf = np.where(np.isnan(centre_distance), np.inf, centre_distance)
     radius = 0.5 * np.hypot(tracks.size_m[:, 0], tracks.size_m[:, 1])
-    near = np.isfinite(distant) & (distant - (radius + radius[target])[:, None] <= distant.min(axis=0))
+    near = np.isfinite(or_inf) & (or_inf - (radius + radius[target])[:, None] <= or_inf.min(axis=0))
     row, step = np.nonzero(near)
     boxes = corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row])
-    own = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
-    result = np.where(np.isnan(between), np.nan, np.inf)
-    result[row, step] = distance(boxes, own)
+    own_boxes = corners(tracks.xy_m[target, step], tracks.yaw_rad[target, step], tracks.size_m[target])
+    result = np.where(np.isnan(centre_distance), np.nan, np.inf)
+    result[row, step] = distance(boxes, own_boxes)
     return result

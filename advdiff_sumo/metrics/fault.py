@@ -17,12 +17,12 @@ from enum import StrEnum
 from advdiff_sumo.metrics.breaches.conduct_rules import reversing
 from advdiff_sumo.metrics.breaches.junction_rules import (
     ARRIVAL_MARGIN_S,
-    disregarded,
+    breach_towards_pedestrian,
     joined_safely,
     later_by_s,
     must_yield,
     ran_red,
-    way_is_unknown,
+    signals_are_unknown,
 )
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
@@ -102,13 +102,13 @@ def _reversing(view: TrafficView, case: Encounter, _kind: CollisionType) -> Faul
 
 def _with_pedestrian(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
     """Judge a collision with a pedestrian by red lights and the right of way on crossings, before the lane rules."""
-    by_target, by_other = disregarded(view, case, 1), disregarded(view, case, 0)
+    by_target, by_other = breach_towards_pedestrian(view, case, 1), breach_towards_pedestrian(view, case, 0)
     if by_target is not None:
         return Fault(AtFault.TARGET, f"The target {by_target.text}.")
     if by_other is not None:
         return Fault(AtFault.OTHER, f"'{case.other.name}' {by_other.text}.")
     has_pedestrian = any(party.is_pedestrian for party in case.parties)
-    return _SIGNAL_UNKNOWN if has_pedestrian and way_is_unknown(view, case) else None
+    return _SIGNAL_UNKNOWN if has_pedestrian and signals_are_unknown(view, case) else None
 
 
 def _striking(view: TrafficView, case: Encounter, kind: CollisionType) -> Fault:
@@ -186,7 +186,7 @@ def _junction(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault
     rear_end = _joined_safely(case)
     if rear_end is not None:
         return rear_end
-    if way_is_unknown(view, case):
+    if signals_are_unknown(view, case):
         return _SIGNAL_UNKNOWN
     obliged = (
         must_yield(view, case.target, case.other),

@@ -1,12 +1,15 @@
-"""Critical near misses: a careful driver would have had to brake hard, and who resolved it.
+"""Critical near misses, in which a careful driver would have had to brake hard, and which party resolved them.
 
-An encounter without a collision is critical when a reference driver in the target's place, who reacts in the
-regulation's 0.75 s and then brakes evenly, would have had to brake at more than 4 m/s² for the boxes not to meet.
-It takes over where the careful and competent driver would, on the driven path, and from the instant of the least
-time to collision on follows the lanes of the target's route: steering is not asked for. The other is taken to move
-as recorded up to that instant, and to keep its speed on its recorded way from there on: that it braked afterwards
-nobody could rely on. Where the target stands, where the other comes from behind, or into its side at any braking,
-braking is not the answer, and the near miss is not critical.
+1. A reference driver takes over from the target where the careful and competent driver would.
+2. It responds after the regulation's 0.75 s and then brakes evenly.
+3. It follows the driven path until the instant of the least time to collision, then the lanes of the target's route,
+   so that it need not steer.
+4. The other moves as recorded until that instant and then keeps its speed on its recorded way, since the driver could
+   not rely on its braking afterwards.
+5. The near miss is critical if the driver must brake at more than 4 m/s² for the boxes not to meet.
+
+It is not critical if braking does not help: the target stands, or the other comes from behind or, at any braking, into
+its side.
 """
 
 from __future__ import annotations
@@ -29,23 +32,25 @@ from advdiff_sumo.metrics.kept_motion import (
     BRAKES_MPS2,
     Poses,
     braked_s_m,
-    contact_at,
-    gone_on,
-    kept,
-    kept_straight,
+    continued,
+    first_contact_step,
     velocity_mps,
+    with_speed_kept,
+    with_velocity_kept,
 )
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 
-#: A near miss is looked at where the least time to collision is below this.
+#: Encounters with a least time to collision below this are near misses.
 NEAR_MISS_TTC_S = 2.5
+#: Motion is extrapolated for this long after the instant of the least time to collision.
 _AFTER_S = 4.0
-_REACH_M = 150.0
+#: Required length of the driver's way.
+_WAY_LENGTH_M = 150.0
 
 
 class ResolvedBy(StrEnum):
-    """Who kept a near miss from becoming a collision."""
+    """The party that avoided a collision in a near miss."""
 
     TARGET = "target"
     OTHER = "other"
@@ -57,12 +62,10 @@ class NearMiss:
     """An encounter without a collision.
 
     Attributes:
-        row: the other.
-        time_s: instant of the least time to collision with it, since the episode's start.
-        brake_mps2: how hard a reference driver would have had to brake; 0 where it needed not, or where braking is
-            not the answer.
-        resolved_by: who acted so that it did not come to a collision; None where the record ends before it is
-            resolved.
+        row: row of the other.
+        time_s: time of the least time to collision with it, since the episode's start.
+        brake_mps2: deceleration that a reference driver would have needed; 0 if none, or if braking does not help.
+        resolved_by: the party that avoided the collision; None if the record ends before it is resolved.
     """
 
     row: int
@@ -72,14 +75,14 @@ class NearMiss:
 
     @property
     def critical(self) -> bool:
-        """Whether that is more than one may be expected to brake."""
+        """Whether the needed deceleration is more than what is to be expected of a driver."""
         return self.brake_mps2 > EXPECTED_BRAKE_MPS2
 
 
 def near_miss(record: EpisodeRecord, road: RoadMap) -> NearMiss | None:
-    """Return the near miss of an episode without a collision that asks for the hardest braking; None without one.
+    """Return the near miss of an episode without a collision that needs the hardest braking; None without one.
 
-    Of several that ask for as much it is the one of the least time to collision.
+    Of several that need the same braking, it is the one with the least time to collision.
 
     Args:
         record: the episode, in which the target did not collide.
@@ -96,41 +99,44 @@ def near_miss(record: EpisodeRecord, road: RoadMap) -> NearMiss | None:
 
 
 def careful_drive(record: EpisodeRecord, road: RoadMap, missed: NearMiss) -> ReferenceDrive | None:
-    """Return what the careful and competent driver would have done in the near miss *missed*; None at the start."""
+    """Return the drive of the careful and competent driver in the near miss *missed*.
+
+    None if it is at the first instant, or if the target was absent before.
+    """
     step = round((missed.time_s - record.tracks.t0_s) / record.tracks.dt_s)
     return _drive(record, road, missed.row, step)
 
 
 def resolved(by: str | None) -> str:
-    """Return who resolved a near miss as part of a sentence; *by* is a value of :class:`ResolvedBy` or None."""
+    """Return which party resolved a near miss, as part of a sentence; *by* is a :class:`ResolvedBy` value or None."""
     return "the record ends before it is resolved" if by is None else f"resolved by: {by}"
 
 
 def _candidates(record: EpisodeRecord) -> list[tuple[int, int]]:
-    """Return (row, instant) of each other's least time to collision that is short, the shortest first.
+    """Return (row, instant) of each other's least time to collision below ``NEAR_MISS_TTC_S``, the shortest first.
 
-    Instants at which the target stands, or the other is behind it, do not count: braking is not the answer there.
-    Neither do those at which the other, which appeared where the target was, still touches it.
+    Instants at which the target stands, or the other is behind it, do not count, since braking does not help then.
+    Neither do those at which the other appeared in contact with the target and still touches it.
     """
-    seconds = time_to_collision(record.tracks, record.target)
+    ttc = time_to_collision(record.tracks, record.target)
     stands = np.abs(record.tracks.speed_mps[record.target]) <= LEAST_SPEED_MPS
-    counts = np.isfinite(seconds) & ~stands & ~_behind(record)
-    if (seconds == 0.0).any():
+    counts = np.isfinite(ttc) & ~stands & ~_is_behind(record)
+    if (ttc == 0.0).any():
         counts &= ~_initial_contacts(record)
-    seconds = np.where(counts, seconds, np.inf)
-    steps = seconds.argmin(1)
-    least = seconds.min(1)
-    near = np.flatnonzero(least < NEAR_MISS_TTC_S)
-    return [(int(row), int(steps[row])) for row in near[np.argsort(least[near], kind="stable")]]
+    ttc = np.where(counts, ttc, np.inf)
+    steps = ttc.argmin(1)
+    least_ttc = ttc.min(1)
+    near = np.flatnonzero(least_ttc < NEAR_MISS_TTC_S)
+    return [(int(row), int(steps[row])) for row in near[np.argsort(least_ttc[near], kind="stable")]]
 
 
 def _initial_contacts(record: EpisodeRecord) -> BoolArray:
     """Return (A, T) whether the other has touched the target ever since it appeared."""
     tracks = record.tracks
-    touches: list[BoolArray] = []
+    contacts: list[BoolArray] = []
     for step in range(tracks.steps):
         overlaps = standing_overlaps(
-            touches[-1] if touches else None,
+            contacts[-1] if contacts else None,
             tracks.xy_m[:, max(0, step - 1)],
             tracks.xy_m[:, step],
             tracks.yaw_rad[:, step],
@@ -138,11 +144,11 @@ def _initial_contacts(record: EpisodeRecord) -> BoolArray:
             record.target,
             dt_s=tracks.dt_s,
         )
-        touches.append(overlaps)
-    return np.stack(touches, axis=1)
+        contacts.append(overlaps)
+    return np.stack(contacts, axis=1)
 
 
-def _behind(record: EpisodeRecord) -> BoolArray:
+def _is_behind(record: EpisodeRecord) -> BoolArray:
     """Return (A, T) whether the other's centre is behind the target's rear."""
     tracks, target = record.tracks, record.target
     along = ((tracks.xy_m - tracks.xy_m[target]) * unit(tracks.yaw_rad[target])).sum(-1)
@@ -156,7 +162,7 @@ def _drive(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> Referen
 
 
 def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
-    """Return what :class:`ReferenceDrivers` takes for the encounter: who, and when it was closest."""
+    """Return the closest instant of the encounter as a collision, the form that :class:`ReferenceDrivers` takes."""
     tracks, rows = record.tracks, [record.target, row]
     offset = tracks.xy_m[row, step] - tracks.xy_m[record.target, step]
     return Collision(
@@ -176,78 +182,80 @@ def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
 
 
 def _needed_brake_mps2(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> float:
-    """Return how hard a reference driver would have had to brake for *row*; 0 where braking is not the answer."""
+    """Return the deceleration that a reference driver needs to avoid *row*; 0 if braking does not help."""
     tracks, target, count = record.tracks, record.target, round(_AFTER_S / record.tracks.dt_s)
-    other = kept(record, row, step, step, count)
-    going = _driven_poses(record, _own_way(record, road, step, step), step, 0.0, len(other))
-    if contact_at(going, other, *tracks.size_m[[target, row]]) is None:
-        return 0.0  # only straight on they would have met
+    other = with_speed_kept(record, row, step, step, count)
+    unbraked = _driven_poses(record, _own_way(record, road, step, step), step, 0.0, len(other))
+    if first_contact_step(unbraked, other, *tracks.size_m[[target, row]]) is None:
+        return 0.0  # they do not meet on their ways, only when extrapolated straight
     drive = _drive(record, road, row, step)
     if drive is None:
         return 0.0
     start = drive.takeover_step
     way = _own_way(record, road, start, step)
-    return _least_brake_mps2(record, way, row, start, kept(record, row, start, step, count))
+    return _least_brake_mps2(record, way, row, start, with_speed_kept(record, row, start, step, count))
 
 
 def _own_way(record: EpisodeRecord, road: RoadMap, start: int, step: int) -> OwnWay:
-    """Return the target's driven path from *start* to *step*, and its route's lanes from there on."""
+    """Return the target's driven path from *start* to *step*, and its route's lanes beyond."""
     if start == step:
-        return way_from(record, road, step, _REACH_M)
-    return joined_way(record, road, start, step, _REACH_M)
+        return way_from(record, road, step, _WAY_LENGTH_M)
+    return joined_way(record, road, start, step, _WAY_LENGTH_M)
 
 
 def _driven_poses(record: EpisodeRecord, way: OwnWay, start: int, brake_mps2: float, count: int) -> Poses:
-    """Return *count* poses of a driver on *way* from instant *start* on, as ``braked_s_m`` says."""
+    """Return *count* poses of a driver on *way* who brakes from instant *start* on as in :func:`.braked_s_m`."""
     tracks, target = record.tracks, record.target
-    begin = float(way.line.project(tracks.xy_m[target, start])[0])
+    start_s_m = float(way.line.project(tracks.xy_m[target, start])[0])
     speed = max(float(tracks.speed_mps[target, start]), 0.0)
-    return Poses(*way.poses(begin + braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
+    return Poses(*way.poses(start_s_m + braked_s_m(speed, brake_mps2, count, tracks.dt_s)))
 
 
 def _least_brake_mps2(record: EpisodeRecord, way: OwnWay, row: int, start: int, other: Poses) -> float:
-    """Return the least even braking after the response from *start* on with which the boxes do not meet.
+    """Return the least even deceleration, after a response from *start* on, with which the boxes do not meet.
 
-    0 where it is the other who would drive into the target: from behind without any braking, or at the hardest one.
+    0 if the other drives into the target: from behind if the target does not brake, or at the hardest braking.
     """
     tracks, target = record.tracks, record.target
-    front, ahead, moved = 0.5 * float(tracks.size_m[target, 0]), 0.0, 0.0
+    half_length, ahead, moved = 0.5 * float(tracks.size_m[target, 0]), 0.0, 0.0
     for brake in BRAKES_MPS2:
         own = _driven_poses(record, way, start, float(brake), len(other))
-        met = contact_at(own, other, *tracks.size_m[[target, row]])
-        if met is None:
+        contact = first_contact_step(own, other, *tracks.size_m[[target, row]])
+        if contact is None:
             return float(brake)
-        ahead, moved = _ahead_m(own, other, met), float(np.hypot(*(own.xy_m[met + 1] - own.xy_m[met])))
-        if brake == 0.0 and ahead < -front:
+        ahead = _ahead_m(own, other, contact)
+        moved = float(np.hypot(*(own.xy_m[contact + 1] - own.xy_m[contact])))
+        if brake == 0.0 and ahead < -half_length:
             return 0.0
-    return float(BRAKES_MPS2[-1]) if ahead > front and moved > LEAST_SPEED_MPS * tracks.dt_s else 0.0
+    still_moves = moved > LEAST_SPEED_MPS * tracks.dt_s
+    return float(BRAKES_MPS2[-1]) if ahead > half_length and still_moves else 0.0
 
 
 def _ahead_m(own: Poses, other: Poses, step: int) -> float:
-    """Return how far the centre of *other* is ahead of that of *own* at instant *step*."""
+    """Return the distance of the centre of *other* ahead of that of *own* at instant *step*."""
     return float((other.xy_m[step] - own.xy_m[step]) @ unit(own.yaw_rad[step]))
 
 
 def _resolved_by(record: EpisodeRecord, row: int, step: int) -> ResolvedBy | None:
-    """Return whose doing it was: had one alone kept its speed from *step* on, would the boxes have met?
+    """Return the party that avoided the collision: they would have met if it alone had kept its speed from *step* on.
 
-    Where that tells of nobody, the velocity is kept instead: they steered. None where nobody had done enough by the
-    record's end: going on as they last did, they meet.
+    If neither or only both would have met so, the test is repeated with the velocity kept, as a party may have steered.
+    None if they meet after the record's end when they continue their last motion.
     """
     count = round(_AFTER_S / record.tracks.dt_s)
     rows = record.target, row
     sizes = record.tracks.size_m[list(rows)]
-    on = [gone_on(record, x, step, count) for x in rows]
-    if contact_at(on[0], on[1], *sizes) is not None:
+    actual = [continued(record, x, step, count) for x in rows]
+    if first_contact_step(actual[0], actual[1], *sizes) is not None:
         return None
-    for ways in (
-        [kept(record, x, step, step, count) for x in rows],
-        [kept_straight(record, x, step, count) for x in rows],
+    for unchanged in (
+        [with_speed_kept(record, x, step, step, count) for x in rows],
+        [with_velocity_kept(record, x, step, count) for x in rows],
     ):
-        without_target = contact_at(ways[0], on[1], *sizes) is not None
-        without_other = contact_at(on[0], ways[1], *sizes) is not None
-        if without_target != without_other:
-            return ResolvedBy.TARGET if without_target else ResolvedBy.OTHER
-        if without_target:
+        target_acted = first_contact_step(unchanged[0], actual[1], *sizes) is not None
+        other_acted = first_contact_step(actual[0], unchanged[1], *sizes) is not None
+        if target_acted != other_acted:
+            return ResolvedBy.TARGET if target_acted else ResolvedBy.OTHER
+        if target_acted:
             break
     return ResolvedBy.BOTH

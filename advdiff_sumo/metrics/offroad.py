@@ -1,8 +1,8 @@
-"""Leaving the road: the target's collision with the environment, and how far background vehicles leave it.
+"""Detect when the target leaves the road, and measure how far background vehicles leave it.
 
-A vehicle has left the road when more than half its box lies outside the drivable area. Half is chosen because
-the share then does not depend on how exactly a net draws its kerbs: a car that cuts a corner or keeps 0.3 m too
-far right stays far below it, while a car whose centre line has left the road is over it.
+A vehicle has left the road when more than half its box lies outside the drivable area. With this bound the result does
+not depend on how exactly the net draws its kerbs. A car that cuts a corner or keeps 0.3 m too far right stays far below
+it; a car whose centre line has left the road exceeds it.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from advdiff_sumo.maps import RoadMap
 
 #: Share of the box outside the drivable area beyond which a vehicle has left the road.
 OFF_ROAD_SHARE = 0.5
-#: Background vehicles are looked at this often: the step of the models that move them.
+#: Background vehicles are checked at this interval: the step of the models that move them.
 BACKGROUND_EVERY_S = 0.5
 
 
 @dataclass(frozen=True)
 class OffRoad:
-    """The target leaves the road.
+    """The event that the target leaves the road.
 
     Attributes:
         step: instant before it.
-        time_s: when, since the episode's start, between instants by linear interpolation of the share.
+        time_s: time since the episode's start, from linear interpolation of the share between instants.
         xy_m: (2,) centre of the target's box at that time.
         speed_mps: speed at that time.
     """
@@ -42,12 +42,14 @@ class OffRoad:
 
 @dataclass(frozen=True)
 class BackgroundOffRoad:
-    """How background vehicles that a policy moved left the road, beyond what they did at their start.
+    """How far background vehicles moved by a policy left the road.
+
+    The share of the box that was off the road when a vehicle first appeared is subtracted.
 
     Attributes:
-        mean_share: mean over vehicles and instants of the added share of the box off the road; None: no vehicle.
-        max_share: greatest added share; None: no vehicle.
-        rows: of the tracks, those that added more than ``OFF_ROAD_SHARE``.
+        mean_share: mean share of the box off the road, over vehicles and instants; None without a vehicle.
+        max_share: greatest share; None without a vehicle.
+        rows: rows of the vehicles whose share exceeded ``OFF_ROAD_SHARE``.
     """
 
     mean_share: float | None
@@ -56,38 +58,38 @@ class BackgroundOffRoad:
 
     @property
     def vehicles(self) -> int:
-        """How many left the road."""
+        """Number of vehicles that left the road."""
         return len(self.rows)
 
 
 def target_leaves_road(record: EpisodeRecord, road: RoadMap) -> OffRoad | None:
     """Return when the target first leaves the road, or None.
 
-    A target that starts off the road is not counted until it has been on it. Whoever walks or cycles may go there.
+    A target that starts off the road counts only once it has been on it. Pedestrians and bicycles do not count.
     """
     tracks, row = record.tracks, record.target
     if tracks.classes[row] not in MOTOR_CLASSES:
         return None
-    share = shares(road, tracks, np.full(tracks.steps, row), np.arange(tracks.steps))
+    share = off_road_shares(road, tracks, np.full(tracks.steps, row), np.arange(tracks.steps))
     off = share > OFF_ROAD_SHARE
-    crossing = np.flatnonzero(off[1:] & (share[:-1] <= OFF_ROAD_SHARE))
-    if not crossing.size:
+    leaving_steps = np.flatnonzero(off[1:] & (share[:-1] <= OFF_ROAD_SHARE))
+    if not leaving_steps.size:
         return None
-    step = int(crossing[0])
-    part = float((OFF_ROAD_SHARE - share[step]) / (share[step + 1] - share[step]))
+    step = int(leaving_steps[0])
+    fraction = float((OFF_ROAD_SHARE - share[step]) / (share[step + 1] - share[step]))
     xy, speed = tracks.xy_m[row, step : step + 2], tracks.speed_mps[row, step : step + 2]
     return OffRoad(
         step=step,
-        time_s=tracks.t0_s + (step + part) * tracks.dt_s,
-        xy_m=xy[0] + part * (xy[1] - xy[0]),
-        speed_mps=float(speed[0] + part * (speed[1] - speed[0])),
+        time_s=tracks.t0_s + (step + fraction) * tracks.dt_s,
+        xy_m=xy[0] + fraction * (xy[1] - xy[0]),
+        speed_mps=float(speed[0] + fraction * (speed[1] - speed[0])),
     )
 
 
 def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRoad:
-    """Return how far motor vehicles moved by the policy left the road, every ``BACKGROUND_EVERY_S``.
+    """Return how far motor vehicles moved by the policy left the road, checked every ``BACKGROUND_EVERY_S``.
 
-    What a vehicle had off the road when it was first there (a parked car in a log) is taken off.
+    The share off the road when a vehicle first appeared (as of a parked car in a log) is subtracted.
     """
     tracks = record.tracks
     moved = (record.controller == Controller.POLICY) & tracks.valid
@@ -99,17 +101,17 @@ def background_off_road(record: EpisodeRecord, road: RoadMap) -> BackgroundOffRo
     row, step = np.nonzero(moved & sampled)
     if not row.size:
         return BackgroundOffRoad(None, None)
-    first = np.argmax(tracks.valid, axis=1)
-    begin = np.zeros(tracks.agents)
+    first_step = np.argmax(tracks.valid, axis=1)
+    first_share = np.zeros(tracks.agents)
     rows = np.unique(row)
-    begin[rows] = shares(road, tracks, rows, first[rows])
-    added = np.maximum(0.0, shares(road, tracks, row, step) - begin[row])
-    most = np.zeros(tracks.agents)
-    np.maximum.at(most, row, added)
-    gone = tuple(np.flatnonzero(most > OFF_ROAD_SHARE).tolist())
-    return BackgroundOffRoad(float(added.mean()), float(added.max()), gone)
+    first_share[rows] = off_road_shares(road, tracks, rows, first_step[rows])
+    added = np.maximum(0.0, off_road_shares(road, tracks, row, step) - first_share[row])
+    max_added = np.zeros(tracks.agents)
+    np.maximum.at(max_added, row, added)
+    off_road_rows = tuple(np.flatnonzero(max_added > OFF_ROAD_SHARE).tolist())
+    return BackgroundOffRoad(float(added.mean()), float(added.max()), off_road_rows)
 
 
-def shares(road: RoadMap, tracks: Tracks, row: IntArray, step: IntArray) -> FloatArray:
-    """Return (N,) the share of the boxes of agents *row* at instants *step* off the road; NaN when absent."""
+def off_road_shares(road: RoadMap, tracks: Tracks, row: IntArray, step: IntArray) -> FloatArray:
+    """Return (N,) the shares of the boxes of agents *row* at instants *step* off the road; NaN if absent."""
     return road.off_road_share(corners(tracks.xy_m[row, step], tracks.yaw_rad[row, step], tracks.size_m[row]))

@@ -15,7 +15,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.background_metrics import background_collisions
 from advdiff_sumo.metrics.collision import collisions, find_touches
 from advdiff_sumo.metrics.comfort import derivatives
-from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, shares
+from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, off_road_shares
 
 JERK_MPS3 = 25.0
 """Greatest change of acceleration over half a second; an emergency braking comes to about 18 m/s³."""
@@ -77,7 +77,7 @@ def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Impla
     for row in np.flatnonzero(moved.any(axis=1) & driven).tolist():
         steps = np.flatnonzero(moved[row] & tracks.valid[row])
         steps = steps[:: every if len(steps) > every else 1]
-        share = shares(road, tracks, np.full(len(steps), row), steps)
+        share = off_road_shares(road, tracks, np.full(len(steps), row), steps)
         worst = int(share.argmax())
         if share[worst] - share[0] > OFF_ROAD_SHARE:
             time = tracks.t0_s + tracks.dt_s * float(steps[worst])

@@ -16,7 +16,7 @@ from advdiff_sumo.metrics.background_metrics import (
     replayed_collisions,
 )
 from advdiff_sumo.metrics.breaches.breach import Breach
-from advdiff_sumo.metrics.breaches.offences import OF_ITSELF, offences
+from advdiff_sumo.metrics.breaches.offences import OFFENCE_KINDS, offences
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
@@ -162,7 +162,7 @@ def _with_those_of(hit: Judged | None, offences: tuple[Breach, ...]) -> tuple[Br
     """Return *offences* and rules of their kinds that the target broke in its collision, in the order of time."""
     known = {one.kind for one in offences}
     led_to_it = () if hit is None else hit.verdict.target_breaches
-    more = (one for one in led_to_it if one.kind in OF_ITSELF - known)
+    more = (one for one in led_to_it if one.kind in OFFENCE_KINDS - known)
     return tuple(sorted((*offences, *more), key=lambda one: one.time_s))
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import Breach, breaches_of
-from advdiff_sumo.metrics.breaches.junction_rules import way_is_unknown
+from advdiff_sumo.metrics.breaches.junction_rules import signals_are_unknown
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
@@ -102,7 +102,7 @@ def judge(
     breaches = breaches_of(view, case, 0), breaches_of(view, case, 1)
     drives = drive_all(record, road, collision) if collision.step > 0 else {}
     pusher = pushed_by(view, case, 0)
-    counted = {name: held_against(record, collision, drive, pusher) for name, drive in drives.items()}
+    counted = {name: counted_touches(record, collision, drive, pusher) for name, drive in drives.items()}
     preventable_by = tuple(name for name in MODELS if name in counted and not counted[name])
     yardstick = replace(drives[YARDSTICK], touches=counted[YARDSTICK]) if drives else None
     preventable = None if yardstick is None else YARDSTICK in preventable_by
@@ -132,11 +132,11 @@ def judge(
 def avoids(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> bool:
-    """Return whether *drive* has no collision that counts; arguments as in :func:`held_against`."""
-    return not held_against(record, collision, drive, pusher)
+    """Return whether *drive* has no collision that counts; arguments as in :func:`counted_touches`."""
+    return not counted_touches(record, collision, drive, pusher)
 
 
-def held_against(
+def counted_touches(
     record: EpisodeRecord, collision: Collision, drive: ReferenceDrive, pusher: int | None = None
 ) -> tuple[Touch, ...]:
     """Return the collisions of *drive* that count.
@@ -164,7 +164,7 @@ def _not_judged(view: TrafficView, case: Encounter, has_drives: bool) -> tuple[s
     missing = []
     if not view.signals and any(link is not None and link.tls_id is not None for link in links):
         missing.append("red lights (no signals recorded)")
-    if way_is_unknown(view, case):
+    if signals_are_unknown(view, case):
         missing.append("right of way (no signals recorded)")
     if case.crossing and None in links:
         missing.append("right of way (no connection over the junction fits)")

@@ -8,7 +8,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, Encounter
-from advdiff_sumo.metrics.offroad import OFF_ROAD_SHARE, shares
+from advdiff_sumo.metrics.offroad import OFF_ROAD_SHARE, off_road_shares
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: Driving faster than this share of the limit, for at least ``_SPEEDING_S``, is a breach.
@@ -88,7 +88,7 @@ def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach
     steps = steps[view.tracks.valid[row, steps] & (view.tracks.speed_mps[row, steps] > _OFF_ROAD_MPS)]
     if not steps.size:
         return None
-    share = shares(view.road, view.tracks, np.full(len(steps), row), steps)
+    share = off_road_shares(view.road, view.tracks, np.full(len(steps), row), steps)
     off = np.flatnonzero(share > OFF_ROAD_SHARE)
     if not off.size:
         return None

@@ -26,9 +26,9 @@ from advdiff_sumo.metrics.kept_motion import (
     DrivenWay,
     Poses,
     braked_s_m,
-    contact_at,
-    gone_on,
-    kept,
+    continued,
+    first_contact_step,
+    with_speed_kept,
 )
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -36,7 +36,7 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 AHEAD_S = 4.0
 
 
-def not_given_way(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
+def giving_way_breaches(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
     """Yield, for each junction that the target entered, the breach towards the vehicle that had to brake hardest.
 
     Entries on red are left to the rule for red lights. Entries with unknown signals, and pedestrians, are not judged.
@@ -82,8 +82,8 @@ def _required_brake_mps2(record: EpisodeRecord, view: TrafficView, entry: Juncti
     """
     tracks, step = record.tracks, entry.line_step
     count, sizes = view.steps(AHEAD_S), tracks.size_m[[record.target, row]]
-    target = gone_on(record, record.target, step, count)
-    contact = contact_at(target, kept(record, row, step, step, count), *sizes)
+    target = continued(record, record.target, step, count)
+    contact = first_contact_step(target, with_speed_kept(record, row, step, step, count), *sizes)
     if contact is None or not _has_priority(view, entry, row) or _hits_third(record, row, step, contact):
         return 0.0
     if drove_too_fast(view, row, max(0, step - view.steps(1.0)), step + 1) is not None:
@@ -91,7 +91,7 @@ def _required_brake_mps2(record: EpisodeRecord, view: TrafficView, entry: Juncti
     way, speed = DrivenWay.of(tracks, row, step), float(tracks.speed_mps[row, step])
     for brake in BRAKES_MPS2:
         braking = way.at(braked_s_m(speed, float(brake), count + 1, tracks.dt_s))
-        if contact_at(target, braking, *sizes) is None:
+        if first_contact_step(target, braking, *sizes) is None:
             return float(brake)
     return float(BRAKES_MPS2[-1])
 
@@ -117,10 +117,7 @@ def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Lin
 
 
 def _link_has_priority(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool) -> bool:
-    """Return whether the target must by the net give way to a vehicle on *link*, and no signal stops that vehicle.
-
-    *entered*: the vehicle did enter the junction, so that its signal no longer matters.
-    """
+    """Return whether the net makes the target yield to a vehicle on *link* that has *entered* or sees no red."""
     if not view.road.must_yield(entry.link, link) or view.road.must_yield(link, entry.link):
         return False
     if entered or link.tls_id is None or link.tls_index is None or not view.signals:
@@ -129,16 +126,16 @@ def _link_has_priority(view: TrafficView, entry: JunctionEntry, link: Link, ente
 
 
 def _hits_third(record: EpisodeRecord, row: int, step: int, contact: int) -> bool:
-    """Return whether *row*, keeping its speed, would hit a third road user before it meets the target.
-
-    *contact* is the number of steps from *step* until it would meet the target.
-    """
+    """Return whether *row*, keeping its speed from *step* on, would hit a third road user within *contact* steps."""
     tracks, part = record.tracks, slice(step, step + contact + 1)
-    own = kept(record, row, step, step, contact)
+    own = with_speed_kept(record, row, step, step, contact)
     for third in np.flatnonzero(tracks.valid[:, part].all(1)).tolist():
         if third in (row, record.target):
             continue
         recorded = Poses(tracks.xy_m[third, part], tracks.yaw_rad[third, part])
-        if len(recorded) == len(own) and contact_at(own, recorded, *tracks.size_m[[row, third]]) is not None:
+        if (
+            len(recorded) == len(own)
+            and first_contact_step(own, recorded, *tracks.size_m[[row, third]]) is not None
+        ):
             return True
     return False

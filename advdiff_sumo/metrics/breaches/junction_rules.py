@@ -46,7 +46,7 @@ def right_of_way(view: TrafficView, case: Encounter, index: int) -> Breach | Non
     party, other = case.parties[index], case.parties[1 - index]
     if party.stood or party.is_pedestrian or (other.stood and not other.is_pedestrian):
         return None
-    if way_is_unknown(view, case):
+    if signals_are_unknown(view, case):
         return None
     if other.is_pedestrian:
         return _crossing_breach(view, case, party, other)
@@ -56,7 +56,7 @@ def right_of_way(view: TrafficView, case: Encounter, index: int) -> Breach | Non
         ran_red(view, party)
         or ran_red(view, other)
         or joined_safely(case, index)
-        or not owes_way(view, case, index)
+        or not must_give_way(view, case, index)
     ):
         return None
     return _breach(
@@ -64,7 +64,7 @@ def right_of_way(view: TrafficView, case: Encounter, index: int) -> Breach | Non
     )
 
 
-def disregarded(view: TrafficView, case: Encounter, walker: int) -> Breach | None:
+def breach_towards_pedestrian(view: TrafficView, case: Encounter, walker: int) -> Breach | None:
     """Return the breach by which the other drove into a pedestrian: on red, or on a crossing; else None.
 
     On a crossing it counts only if the other still had room to stop when the pedestrian left the kerb or, after
@@ -145,7 +145,7 @@ def signals_at_entry(view: TrafficView, party: Party | JunctionEntry) -> list[st
     return [s[link.tls_index] for s in states] if all(len(s) > link.tls_index for s in states) else []
 
 
-def way_is_unknown(view: TrafficView, case: Encounter) -> bool:
+def signals_are_unknown(view: TrafficView, case: Encounter) -> bool:
     """Return whether a light with unknown signals controls the junction, or the crossing, of *case*.
 
     The net's right-of-way rows then decide nothing: they apply to vehicles that have green at the same time.
@@ -158,7 +158,7 @@ def way_is_unknown(view: TrafficView, case: Encounter) -> bool:
     )
 
 
-def owes_way(view: TrafficView, case: Encounter, index: int) -> bool:
+def must_give_way(view: TrafficView, case: Encounter, index: int) -> bool:
     """Return whether the party must give way: by the net or, if that obliges neither or both, by coming later."""
     obliged = must_yield(view, *case.parties), must_yield(view, *case.parties[::-1])
     if obliged[0] != obliged[1]:

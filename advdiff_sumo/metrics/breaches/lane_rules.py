@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
-from advdiff_sumo.metrics.breaches.junction_rules import disregarded, way_is_unknown
+from advdiff_sumo.metrics.breaches.junction_rules import breach_towards_pedestrian, signals_are_unknown
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party, ways_meet
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 from advdiff_sumo.metrics.placement import Placement
@@ -80,9 +80,9 @@ def lane_entry_breach(view: TrafficView, case: Encounter, index: int) -> Breach 
         return _sideways(view, case, index)
     if case.crossing or entry.oncoming or not (entry.leaves_lane or party.is_pedestrian):
         return None
-    if entry.safe or entry.recovered or disregarded(view, case, index) is not None:
+    if entry.safe or entry.recovered or breach_towards_pedestrian(view, case, index) is not None:
         return None
-    if party.is_pedestrian and way_is_unknown(view, case):
+    if party.is_pedestrian and signals_are_unknown(view, case):
         return None
     other = case.parties[1 - index]
     lane = "lane" if other.is_pedestrian else f"lane of '{other.name}'"

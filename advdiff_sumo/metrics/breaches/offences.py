@@ -13,14 +13,14 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.conduct_rules import REVERSING_MPS, drove_backwards, drove_too_fast
-from advdiff_sumo.metrics.breaches.giving_way import not_given_way
+from advdiff_sumo.metrics.breaches.giving_way import giving_way_breaches
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
-OF_ITSELF = frozenset(
+OFFENCE_KINDS = frozenset(
     {
         *(BreachKind.RED_LIGHT, BreachKind.WRONG_SIDE, BreachKind.RIGHT_OF_WAY),
         *(BreachKind.SPEEDING, BreachKind.REVERSING),
@@ -50,7 +50,7 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
     view = TrafficView.of_record(record, road)
     breaches = chain(
         _red_lights(view, record.target),
-        not_given_way(record, view),
+        giving_way_breaches(record, view),
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )

@@ -1,7 +1,7 @@
-"""The archive of a sweep: which kinds of attack met which target from where, and in which manoeuvre of its own.
+"""The archive of a sweep: episodes by kind of attack, approach of the attacker, and manoeuvre of the target.
 
-Quality diversity (Mouret and Clune 2015, arXiv:1504.04909) keeps the best of every cell; here that is the worst
-episode, and a cell is filled by a valid failure.
+Quality diversity (Mouret and Clune 2015, arXiv:1504.04909) keeps the best solution of every cell. Here that is the most
+severe episode, and a valid failure fills a cell.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from advdiff_sumo.metrics.severity import is_failure, is_valid_failure, worst_fi
 Row: TypeAlias = Mapping[str, Any]
 
 APPROACHES = ("ahead", "behind", "beside_left", "beside_right", "oncoming", "from_left", "from_right")
-"""From where the other came: on the target's lane, beside it, against it, or across its way."""
+"""From where the other came: on the target's lane, beside it, oncoming, or across its way."""
 ANY = "any"
-"""Kind that is asked for where all are welcome."""
+"""Kind of attack requested if any kind will do."""
 NATURAL = "natural"
-"""Kind of an encounter with somebody who did nothing against the target."""
+"""Kind of an encounter with a road user that did not attack."""
 MANOEUVRES = ("straight", "turn_left", "turn_right", "standing")
-"""What the target did up to the critical moment."""
+"""Manoeuvres of the target up to the critical instant."""
 
 
 class ArchiveCell(NamedTuple):
     """One kind of encounter.
 
     Attributes:
-        kind: of the attack that the other drove, or ``NATURAL``; what was asked for where the background does not tell.
+        kind: kind of attack of the other, or ``NATURAL``; the kind requested if the background does not report it.
         approach: one of ``APPROACHES``.
-        manoeuvre: of the target, one of ``MANOEUVRES``.
+        manoeuvre: manoeuvre of the target, one of ``MANOEUVRES``.
     """
 
     kind: str
@@ -40,12 +40,12 @@ class ArchiveCell(NamedTuple):
 
 @dataclass(frozen=True)
 class Elite:
-    """What is in a cell.
+    """The content of a cell.
 
     Attributes:
-        episodes: how many met like this.
-        valid: how many of them are valid failures.
-        worst: row of the worst of them.
+        episodes: number of its episodes.
+        valid: number of valid failures among them.
+        worst: row of the most severe of them.
     """
 
     episodes: int
@@ -54,10 +54,10 @@ class Elite:
 
 
 def cell_of(row: Row) -> ArchiveCell | None:
-    """Return the cell of an episode; None where it failed, nobody could attack, or nobody was near.
+    """Return the cell of an episode; None if it failed, no vehicle could attack, or none was near.
 
     Args:
-        row: of a sweep's ``episodes``.
+        row: row of a sweep's ``episodes``.
     """
     if is_failure(row) or row["in_position"] is False or not row.get("approach"):
         return None
@@ -69,7 +69,7 @@ def archive(rows: Iterable[Row]) -> dict[ArchiveCell, Elite]:
     """Return the cells that have an episode, in alphabetical order.
 
     Args:
-        rows: of a sweep's ``episodes``; of one target, or of several together.
+        rows: rows of a sweep's ``episodes``, of one target or several.
     """
     members: dict[ArchiveCell, list[Row]] = {}
     for row in rows:
@@ -77,6 +77,6 @@ def archive(rows: Iterable[Row]) -> dict[ArchiveCell, Elite]:
         if cell is not None:
             members.setdefault(cell, []).append(row)
     return {
-        cell: Elite(len(some), sum(map(is_valid_failure, some)), worst_first(some)[0])
-        for cell, some in sorted(members.items())
+        cell: Elite(len(episodes), sum(map(is_valid_failure, episodes)), worst_first(episodes)[0])
+        for cell, episodes in sorted(members.items())
     }

@@ -1,4 +1,4 @@
-"""Columns as Arrow tables: schemas, rows, and what folders of earlier versions lack."""
+"""Make Arrow schemas and tables from columns and rows, and upgrade tables of earlier versions."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import pyarrow as pa
 
 from advdiff_sumo.metrics.columns import LATER_COLUMNS, Column
 
-_ARROW = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
+_ARROW_TYPES = {"str": pa.string(), "int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}
 
 
 def schema_of(columns: Mapping[str, Column]) -> pa.Schema:
     """Return the Arrow schema of *columns*."""
-    return pa.schema([pa.field(name, _ARROW[column.dtype]) for name, column in columns.items()])
+    return pa.schema([pa.field(name, _ARROW_TYPES[column.dtype]) for name, column in columns.items()])
 
 
 def upgraded(table: pa.Table, columns: Mapping[str, Column]) -> pa.Table:
-    """Return *table* with those of *columns* behind, empty, that earlier versions did not write and it lacks."""
+    """Return *table* with missing *columns* of later versions appended, empty."""
     for name in columns:
         if name in LATER_COLUMNS and name not in table.column_names:
             table = table.append_column(name, pa.nulls(table.num_rows))

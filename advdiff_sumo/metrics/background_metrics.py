@@ -1,4 +1,4 @@
-"""Collisions of background vehicles among themselves, and SUMO's own collision list beside ours."""
+"""Collisions among background vehicles, and a comparison with SUMO's own collision list."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from advdiff_sumo.metrics.collision import Collision, Touches, both_walk, find_t
 
 @dataclass(frozen=True)
 class SumoComparison:
-    """SUMO's list against the boxes, counted in (instant, pair).
+    """SUMO's collision list compared with overlaps of the boxes, counted in (instant, pair).
 
     Attributes:
-        listed: entries of SUMO's list, a pair at an instant counted once.
-        sumo_only: listed by SUMO while the boxes neither overlap nor did in the step before.
+        listed: entries of SUMO's list; a pair counts once per instant.
+        sumo_only: entries whose boxes neither overlap nor did so in the step before.
         ours_only: overlaps that SUMO did not list.
     """
 
@@ -25,17 +25,17 @@ class SumoComparison:
 
 
 def background_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
-    """Return those of *contacts* without the target that were not there from the beginning, replayed pairs left out."""
+    """Return those of *contacts* without the target that are neither ``initial`` nor of replayed pairs."""
     return [c for c in _among_background(record, contacts) if not both_replayed(record, c)]
 
 
 def replayed_collisions(record: EpisodeRecord, contacts: Sequence[Collision]) -> list[Collision]:
-    """Return those of *contacts* of two road users that both follow their log: the log's, not ours."""
+    """Return those of *contacts* in which both road users follow their log: collisions of the log itself."""
     return [c for c in _among_background(record, contacts) if both_replayed(record, c)]
 
 
 def both_replayed(record: EpisodeRecord, collision: Collision) -> bool:
-    """Return whether both of *collision* follow their log at the instant before the contact."""
+    """Return whether both road users in *collision* follow their log at the instant before the contact."""
     return bool((record.controller[list(collision.rows), collision.step] == Controller.REPLAYED).all())
 
 
@@ -46,8 +46,8 @@ def _among_background(record: EpisodeRecord, contacts: Sequence[Collision]) -> l
 def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> SumoComparison:
     """Return how far SUMO's own collision list agrees with the boxes.
 
-    SUMO misses and invents collisions (its check follows lanes); a vehicle outside the record counts as a
-    disagreement, since no box of ours can confirm it. *touches* saves the search where it was made.
+    SUMO misses collisions and lists false ones, as its check follows lanes. An entry with a vehicle outside the record
+    counts as a disagreement, since there is no box to confirm it. Pass *touches* if they have been found already.
     """
     touches = touches if touches is not None else find_touches(record.tracks)
     ids = record.tracks.ids

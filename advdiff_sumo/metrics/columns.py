@@ -36,7 +36,7 @@ def _count(description: str) -> Column:
 
 
 def _later_count(description: str) -> Column:
-    """Return a count that folders of earlier versions lack."""
+    """Return a column for a count that folders of earlier versions lack."""
     return Column("int64", "", description, nullable=True)
 
 
@@ -64,7 +64,7 @@ VERDICT_COLUMNS: Mapping[str, Column] = {
     ),
     "verdict": _text("the verdict as a sentence"),
 }
-"""What verdict.md says of a collision of the target, or of the episode by its first."""
+"""The verdict on a collision of the target, or on an episode by its first collision (``docs/verdict.md``)."""
 
 CRITICAL_COLUMNS: Mapping[str, Column] = {
     "critical": _flag(

@@ -1,10 +1,10 @@
-"""How the target's ride felt: accelerations, jerk and yaw rate, from our own states.
+"""Comfort of the target's ride: accelerations, jerk and yaw rate, computed from the recorded states.
 
 Derivatives are those of a least-squares polynomial over ``WINDOW_S`` around each instant (Savitzky and
 Golay 1964, doi:10.1021/ac60214a047): second degree for acceleration and yaw rate, third for jerk, which is the
 second derivative of speed. SUMO turns a vehicle on the spot by some degrees where a lane bends or a lane change
-begins; the window spreads such a step, whose plain difference would read as tens of m/s² sideways. A sideways
-jump between instants (SUMO's lane change in no time) breaks the record into stretches.
+begins. The window smooths such a step, whose difference quotient would give tens of m/s² of lateral acceleration. An
+instantaneous lane change of SUMO divides the record into stretches that are evaluated separately.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.kinematics import snaps, unbroken
 
-#: Time under one polynomial; five instants where steps are long.
+#: Time over which a polynomial is fitted; at least ``_LEAST_WINDOW`` instants.
 WINDOW_S = 1.0
 _LEAST_WINDOW = 5
 
 
 @dataclass(frozen=True)
 class Comfort:
-    """Mean and greatest absolute values over the instants; None where the record is too short.
+    """Mean and greatest absolute values over the instants; None if the record is too short.
 
     Attributes:
         accel_mean_mps2: longitudinal acceleration.
@@ -50,7 +50,7 @@ class Comfort:
 
 
 def comfort(tracks: Tracks, row: int) -> Comfort:
-    """Return the comfort of agent *row* over all of *tracks*; cut them before a collision.
+    """Return the comfort of agent *row* over all of *tracks*, which should end before a collision.
 
     Stretches of fewer than five instants are left out.
     """
@@ -59,11 +59,11 @@ def comfort(tracks: Tracks, row: int) -> Comfort:
         return Comfort()
     accel, jerk, yaw_rate, lateral = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Comfort(
-        *_mean_max(accel),
+        *_abs_mean_max(accel),
         max(0.0, float(-accel.min())),
-        *_mean_max(lateral),
-        *_mean_max(jerk),
-        *_mean_max(yaw_rate),
+        *_abs_mean_max(lateral),
+        *_abs_mean_max(jerk),
+        *_abs_mean_max(yaw_rate),
     )
 
 
@@ -74,15 +74,15 @@ def derivatives(
 
     Args:
         tracks: T instants.
-        row: of the agent.
-        part: a stretch of instants, five or more, without a break; each result has its length.
+        row: row of the agent.
+        part: a stretch of five or more instants without a break; each result has its length.
     """
     from scipy.signal import savgol_filter  # late: a second to import
 
     speed = tracks.speed_mps[row, part]
     yaw = np.unwrap(tracks.yaw_rad[row, part])
-    wanted = max(_LEAST_WINDOW, 2 * round(0.5 * WINDOW_S / tracks.dt_s) + 1)
-    window = min(wanted, len(speed) - 1 + len(speed) % 2)
+    full_window = max(_LEAST_WINDOW, 2 * round(0.5 * WINDOW_S / tracks.dt_s) + 1)
+    window = min(full_window, len(speed) - 1 + len(speed) % 2)
     accel = savgol_filter(speed, window, 2, deriv=1, delta=tracks.dt_s)
     jerk = savgol_filter(speed, window, 3, deriv=2, delta=tracks.dt_s)
     yaw_rate = savgol_filter(yaw, window, 2, deriv=1, delta=tracks.dt_s)
@@ -90,12 +90,12 @@ def derivatives(
 
 
 def _stretches(tracks: Tracks, row: int) -> list[slice]:
-    """Return the stretches of instants over which the agent moves without break or sideways snap."""
+    """Return the stretches of instants without a break or an instantaneous lane change."""
     own = tracks.rows([row])
-    steady = unbroken(own)[0] & ~snaps(own)[0]
-    return [slice(a, b + 1) for a, b in stretches(steady) if b + 1 - a >= _LEAST_WINDOW]
+    usable = unbroken(own)[0] & ~snaps(own)[0]
+    return [slice(a, b + 1) for a, b in stretches(usable) if b + 1 - a >= _LEAST_WINDOW]
 
 
-def _mean_max(values: FloatArray) -> tuple[float, float]:
-    size = np.abs(values)
-    return float(size.mean()), float(size.max())
+def _abs_mean_max(values: FloatArray) -> tuple[float, float]:
+    magnitude = np.abs(values)
+    return float(magnitude.mean()), float(magnitude.max())

@@ -1,4 +1,4 @@
-"""The target's first contact within one step: the check that the simulation makes every 0.1 s."""
+"""Detect the target's first contact within one step, as the simulation does every 0.1 s."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners
 from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, gaps_at
 
-#: Faster than this between two instants is a jump (an insertion, a teleport): nothing is swept over it.
+#: Faster motion between two instants is a jump (an insertion, a teleport), in which no contact is searched.
 JUMP_MPS = 100.0
-#: A contact lasts until the boxes are this far apart; a closer rebound is the same collision.
+#: A contact lasts until the boxes are this far apart; touching again before is the same collision.
 SEPARATED_M = 0.1
-#: Both boxes are grown by this to give their first touch an area, whose centroid is the impact point.
+#: Both boxes are grown by this so that their first touch has an area, whose centroid is the impact point.
 _TOUCH_MARGIN_M = 0.01
+#: Times at which the depth of the overlap is sampled, from the contact to the end of the step.
 _DEPTH_SAMPLES = 9
 
-#: x, y, move x, move y, cos, sin, half length, half width, the corners' path by turning; all at the start.
+#: x, y, displacement x and y, cos and sin of the heading, half length and width, path of the corners by turning.
 _Scalars: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 
 
@@ -31,10 +32,10 @@ class Contact:
 
     Attributes:
         row: row of the partner.
-        fraction: when, as a share of the step in [0, 1).
+        fraction: share of the step until the contact, in [0, 1).
         point_m: (2,) centroid of the contact region, world frame.
-        penetration_m: deepest overlap from the contact to the end of the step (the least translation that
-            parts the boxes).
+        penetration_m: deepest overlap from the contact to the end of the step (the least translation that separates
+            the boxes).
     """
 
     row: int
@@ -56,8 +57,8 @@ def target_contact(
 ) -> Contact | None:
     """Return the target's first contact between two successive instants, or None.
 
-    Absent vehicles hold NaN at either instant and cannot collide. A vehicle that jumps (``JUMP_MPS``) is not
-    swept; of contacts at the same moment the lowest row is returned.
+    Absent vehicles hold NaN at either instant and cannot collide. Neither can a vehicle that jumps (``JUMP_MPS``). Of
+    contacts at the same time the one with the lowest row is returned.
 
     Args:
         xy0_m: (N, 2) box centres at the first instant.
@@ -72,12 +73,12 @@ def target_contact(
     near = _near(xy0_m, xy1_m, size_m, target_row, JUMP_MPS * dt_s)
     if ignore is not None:
         near &= ~ignore
-    picked = np.flatnonzero(near)
-    if not picked.size:
+    near_rows = np.flatnonzero(near)
+    if not near_rows.size:
         return None
     poses = xy0_m, yaw0_rad, xy1_m, yaw1_rad, 0.5 * size_m
-    own, *others = (_scalars(*(p[row] for p in poses)) for row in (target_row, *picked))
-    rows = picked[[not _passes(own, other) for other in others]]
+    own, *others = (_scalars(*(p[row] for p in poses)) for row in (target_row, *near_rows))
+    rows = near_rows[[not _are_separate(own, other) for other in others]]
     if not rows.size:
         return None
     sweep = Sweep.between(xy0_m, yaw0_rad, xy1_m, yaw1_rad, size_m)
@@ -91,7 +92,7 @@ def target_contact(
 
 
 def contact_of(a: Sweep, b: Sweep, fraction: float, row: int) -> Contact:
-    """Return the contact of the single pair a, b (K = 1) that first overlaps after *fraction*."""
+    """Return the contact of the single pair a, b (K = 1) that first touches at *fraction*; *row* is that of b."""
     return Contact(row, fraction, _touch_point(a, b, fraction), _depth(a, b, fraction))
 
 
@@ -105,11 +106,11 @@ def standing_overlaps(
     *,
     dt_s: float = 0.1,
 ) -> BoolArray:
-    """Return (N,) overlaps with the target that were there when the vehicle appeared and still last.
+    """Return (N,) whether a vehicle overlapped the target when it appeared and has done so ever since.
 
-    They come from logs and insertions, not from driving, and are no failure of the target. Call it with
-    *before* None and the same instant twice at the start, then once a step after :func:`target_contact`,
-    whose ``ignore`` it makes. A vehicle appears where *xy0_m* is NaN or when it jumps.
+    Such overlaps come from logs and insertions, not from driving, and are no failure of the target. At the start, call
+    it with *before* None and the same instant twice. Then call it once per step after :func:`target_contact`; the
+    result is the ``ignore`` of the next step. A vehicle appears where *xy0_m* is NaN or when it jumps.
 
     Args:
         before: the last result, or None at the start.
@@ -121,8 +122,8 @@ def standing_overlaps(
         dt_s: time between the instants.
     """
     move = xy1_m - xy0_m
-    kept = np.hypot(move[:, 0], move[:, 1]) <= JUMP_MPS * dt_s
-    appeared = ~(kept & kept[target_row]) if before is not None else np.ones_like(kept)
+    moves_on = np.hypot(move[:, 0], move[:, 1]) <= JUMP_MPS * dt_s
+    appeared = ~(moves_on & moves_on[target_row]) if before is not None else np.ones_like(moves_on)
     candidates = appeared if before is None else appeared | before
     result = np.zeros_like(candidates)
     rows = np.flatnonzero(candidates)
@@ -144,13 +145,13 @@ def _gaps_to(
 def _near(
     xy0_m: FloatArray, xy1_m: FloatArray, size_m: FloatArray, target_row: int, jump_m: float
 ) -> BoolArray:
-    """Return (N,) rows whose circle may meet the target's within the step; never False for a contact."""
+    """Return (N,) whether the circle around a box may meet the target's within the step; never False for a contact."""
     move = xy1_m - xy0_m
-    half = 0.5 * (move - move[target_row])
-    middle = xy0_m - xy0_m[target_row] + half
+    half_move = 0.5 * (move - move[target_row])
+    middle = xy0_m - xy0_m[target_row] + half_move
     reach = 0.5 * np.hypot(size_m[:, 0], size_m[:, 1])
     reach += reach[target_row] + TOUCH_M
-    near = np.hypot(middle[:, 0], middle[:, 1]) - np.hypot(half[:, 0], half[:, 1]) <= reach
+    near = np.hypot(middle[:, 0], middle[:, 1]) - np.hypot(half_move[:, 0], half_move[:, 1]) <= reach
     near[target_row] = False
     if near.any():
         near &= np.hypot(move[:, 0], move[:, 1]) <= jump_m
@@ -164,19 +165,20 @@ def _scalars(xy0: FloatArray, yaw0: float, xy1: FloatArray, yaw1: float, half: F
     return x, y, x1 - x, y1 - y, math.cos(yaw0), math.sin(yaw0), length, width, turn
 
 
-def _passes(a: _Scalars, b: _Scalars) -> bool:
-    """Return whether one axis parts the boxes throughout the step: the first advance of sweep, in scalars.
+def _are_separate(a: _Scalars, b: _Scalars) -> bool:
+    """Return whether one axis separates the boxes throughout the step.
 
-    Queues beside the target pass the circles at every step; arrays would cost ten times as much here.
+    This is the first advance of :func:`.first_contact` in scalars. Circles of queues beside the target meet at every
+    step, and arrays would be ten times slower here.
     """
     dx, dy, vx, vy = b[0] - a[0], b[1] - a[1], b[2] - a[2], b[3] - a[3]
     same, cross = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
     turn = a[8] + b[8] + TOUCH_M
-    for one, other in ((a, b), (b, a)):
-        _, _, _, _, cos, sin, length, width, _ = one
-        along = other[6] * same + other[7] * cross + length
-        across = other[6] * cross + other[7] * same + width
-        for nx, ny, reach in ((cos, sin, along), (-sin, cos, across)):
+    for box, other in ((a, b), (b, a)):
+        _, _, _, _, cos, sin, length, width, _ = box
+        reach_along = other[6] * same + other[7] * cross + length
+        reach_across = other[6] * cross + other[7] * same + width
+        for nx, ny, reach in ((cos, sin, reach_along), (-sin, cos, reach_across)):
             offset = dx * nx + dy * ny
             closing = -math.copysign(1.0, offset) * (vx * nx + vy * ny)
             if abs(offset) - reach > max(closing + turn, TOUCH_M):
@@ -185,12 +187,13 @@ def _passes(a: _Scalars, b: _Scalars) -> bool:
 
 
 def _touch_point(a: Sweep, b: Sweep, fraction: float) -> FloatArray:
-    region = shapely.intersection(_grown(a, fraction), _grown(b, fraction))
+    region = shapely.intersection(_grown_box(a, fraction), _grown_box(b, fraction))
     point = region.centroid
     return np.array((point.x, point.y))
 
 
 def _depth(a: Sweep, b: Sweep, fraction: float) -> float:
+    """Return the deepest overlap in m from *fraction* to the end of the step."""
     share = np.linspace(fraction, 1.0, _DEPTH_SAMPLES)
     rows = np.zeros(_DEPTH_SAMPLES, dtype=np.int64)
     a, b = a.rows(rows), b.rows(rows)
@@ -198,5 +201,5 @@ def _depth(a: Sweep, b: Sweep, fraction: float) -> float:
     return float(max(0.0, -gaps.max(-1).min()))
 
 
-def _grown(box: Sweep, fraction: float) -> shapely.Polygon:
+def _grown_box(box: Sweep, fraction: float) -> shapely.Polygon:
     return shapely.Polygon(corners(*box.pose(fraction), 2.0 * (box.half_m + _TOUCH_MARGIN_M))[0])

@@ -1,10 +1,10 @@
-"""When do two moving boxes first touch within one step: conservative advancement, for arrays of pairs.
+"""Find when two moving boxes first touch within one step, by conservative advancement, for arrays of pairs.
 
-Between two instants a box moves its centre on a straight line and turns evenly along the shorter arc. Along a
-fixed separating axis the gap of two such boxes shrinks no faster than their closing speed along that axis
-plus what their corners gain by turning, so time may advance by gap / that rate without missing a contact
-(after Mirtich 1996, "Impulse-based dynamic simulation of rigid body systems", ch. 2). Without turning the
-first contact is exact after at most four advances.
+Between two instants the centre of a box moves on a straight line and the box turns evenly along the shorter arc. Along
+a fixed separating axis, the gap of two boxes shrinks at most at their closing speed plus the speed of their corners
+from turning. Time may therefore advance by the gap divided by this rate without missing a contact (after Mirtich 1996,
+"Impulse-based dynamic simulation of rigid body systems", ch. 2). Without turning, the first contact is exact after at
+most four advances.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from advdiff_sumo.core.scene import Tracks
 
 #: Boxes nearer than this touch.
 TOUCH_M = 1e-6
-#: Smallest advance as a share of the step (0.1 ms of 0.1 s): bounds both the work and the error.
+#: Smallest advance as a share of the step (0.1 ms of 0.1 s). It bounds both the computing time and the error.
 LEAST_ADVANCE = 1e-3
 
 
@@ -46,7 +46,7 @@ class Sweep:
     def between(
         xy0_m: FloatArray, yaw0_rad: FloatArray, xy1_m: FloatArray, yaw1_rad: FloatArray, size_m: FloatArray
     ) -> Sweep:
-        """Return the step from the first poses to the second; *size_m* is (K, 2) length and width."""
+        """Return the step from the first poses to the second ones; *size_m* is (K, 2) length and width."""
         return Sweep(xy0_m, yaw0_rad, xy1_m - xy0_m, wrap_angle(yaw1_rad - yaw0_rad), 0.5 * size_m)
 
     @staticmethod
@@ -76,7 +76,7 @@ class Sweep:
 def gaps_at(
     a: Sweep, b: Sweep, share_a: FloatArray | float, share_b: FloatArray | float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what ``boxes.axis_gaps`` does of boxes a and b, at these shares (K,) of their steps."""
+    """Return the result of ``boxes.axis_gaps`` for boxes a and b at these shares (K,) of their steps."""
     (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(share_a), b.pose(share_b)
     return axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
 
@@ -84,8 +84,8 @@ def gaps_at(
 def may_touch(a: Sweep, b: Sweep) -> BoolArray:
     """Return (K,) whether the circles around the boxes come near enough for a contact; False for NaN.
 
-    Never False for a pair that touches. The pair's offset moves on a segment; its distance from the origin is
-    at least that of the segment's middle less half its length.
+    Never False for a pair that touches. The offset between the centres moves on a segment. Its length is at least that
+    at the segment's middle minus half the segment's length.
     """
     half_move = 0.5 * (b.move_m - a.move_m)
     middle = b.xy_m - a.xy_m + half_move
@@ -96,8 +96,8 @@ def may_touch(a: Sweep, b: Sweep) -> BoolArray:
 def first_contact(a: Sweep, b: Sweep) -> FloatArray:
     """Return (K,) the share of the step in [0, 1) at which boxes a and b first touch; NaN where they do not.
 
-    A contact that begins exactly at the end belongs to the next step. A contact shorter than
-    ``LEAST_ADVANCE`` of the step may be missed; nothing longer is. Rows that hold NaN give NaN.
+    A contact that begins exactly at the end belongs to the next step. Only contacts shorter than ``LEAST_ADVANCE`` of
+    the step may be missed. Rows that hold NaN give NaN.
     """
     fraction = np.zeros(len(a.yaw_rad))
     hit = np.zeros(len(a.yaw_rad), dtype=np.bool_)
@@ -107,9 +107,9 @@ def first_contact(a: Sweep, b: Sweep) -> FloatArray:
         touching = gap <= TOUCH_M
         hit[active[touching]] = True
         later = fraction[active] + np.maximum(advance, LEAST_ADVANCE)
-        going = ~touching & (later < 1.0)
-        active = active[going]
-        fraction[active] = later[going]
+        continues = ~touching & (later < 1.0)
+        active = active[continues]
+        fraction[active] = later[continues]
     return np.where(hit, fraction, np.nan)
 
 
@@ -117,8 +117,8 @@ def _advance(a: Sweep, b: Sweep, fraction: FloatArray) -> tuple[FloatArray, Floa
     """Return the gaps (K,) at *fraction* (K,) and the share of the step by which time may safely advance."""
     gaps, along, axes = gaps_at(a, b, fraction, fraction)
     closing = -np.sign(along) * np.einsum("kic,kc->ki", axes, b.move_m - a.move_m)
-    corners = np.abs(a.turn_rad) * _norm(a.half_m) + np.abs(b.turn_rad) * _norm(b.half_m)
-    rate = np.maximum(closing + corners[:, None], 1e-12)  # m per step
+    corner_move = np.abs(a.turn_rad) * _norm(a.half_m) + np.abs(b.turn_rad) * _norm(b.half_m)
+    rate = np.maximum(closing + corner_move[:, None], 1e-12)  # m per step
     return gaps.max(-1), (np.maximum(gaps, 0.0) / rate).max(-1)
 
 

@@ -1,4 +1,4 @@
-"""The metrics of an episode as rows of tables; the columns are those of ``columns``."""
+"""The metrics of an episode as rows of tables, with the columns of ``columns``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def episode_row(
     Args:
         record: the episode.
         road: its map.
-        metrics: the result of :func:`summarise`, where it is there already.
+        metrics: the result of :func:`summarise`, if it has been computed already.
     """
     m = metrics if metrics is not None else summarise(record, road)
     tracks, failure = record.tracks, record.failure
@@ -44,7 +44,7 @@ def episode_row(
         "agents": int(tracks.valid.any(axis=1).sum()),
         **_collision_values(record, road, m),
         **critical_values(m),
-        "offences": ", ".join(dict.fromkeys(one.kind for one in m.offences)),
+        "offences": ", ".join(dict.fromkeys(x.kind for x in m.offences)),
         "offences_text": offences_sentence(m.offences) or None,
         "initial_overlaps": sum(c.initial for c in m.contacts),
         "sumo_collisions": m.sumo.listed,
@@ -83,9 +83,9 @@ def episode_row(
 def collision_rows(
     record: EpisodeRecord, road: RoadMap, metrics: EpisodeMetrics | None = None
 ) -> list[dict[str, Value]]:
-    """Return the rows of ``collisions.parquet``: the keys of ``COLLISION_COLUMNS``, in the order of time.
+    """Return the rows of ``collisions.parquet``: the keys of ``COLLISION_COLUMNS``, in time order.
 
-    Arguments as in :func:`episode_row`. The target leaving the road is a row without a second vehicle.
+    Arguments as in :func:`episode_row`. If the target leaves the road, this is a row without a second vehicle.
     """
     m = metrics if metrics is not None else summarise(record, road)
     rows = [_pair_row(record, road, m, c) for c in m.contacts]
@@ -96,6 +96,7 @@ def collision_rows(
 
 
 def _collision_values(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics) -> dict[str, Value]:
+    """Return the values of an episode's row that describe the target's collision, made from the collision's row."""
     row: dict[str, Value] = {}
     if m.struck is not None:
         row = _struck_values(record, m.struck)

@@ -1,4 +1,4 @@
-"""Time to collision of every pair of a crowd: the histogram behind the TTC column of the benches."""
+"""Least time to collision (TTC) of each agent with any other, and its histogram for the benches."""
 
 from __future__ import annotations
 
@@ -8,25 +8,24 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, meeting_s
 
-#: Half seconds up to the horizon; a last bin takes those who do not meet by then.
+#: Edges of the bins: every half second up to the horizon. :func:`ttc_counts` adds a bin for longer times.
 TTC_BINS_S = np.arange(0.0, TTC_HORIZON_S + 0.25, 0.5)
 
 
 def least_ttc(
     xy_m: FloatArray, yaw_rad: FloatArray, velocity_mps: FloatArray, size_m: FloatArray, there: BoolArray
 ) -> FloatArray:
-    """Return (…, A) seconds until each agent's box first meets another one's, if all went on as they are.
+    """Return (…, A) seconds until each agent's box first meets another one, at constant velocity and heading.
 
-    Constant velocity and heading, up to ``TTC_HORIZON_S``; inf when it meets nobody by then, 0 when it overlaps
-    already, NaN where it is absent. The same boxes and the same test as
-    :func:`advdiff_sumo.metrics.criticality.time_to_collision`, which is for one target.
+    inf if it meets none within ``TTC_HORIZON_S``, 0 if it overlaps one already, NaN if it is absent. The method is that
+    of :func:`advdiff_sumo.metrics.criticality.time_to_collision`, which is for one target.
 
     Args:
         xy_m: (…, A, 2) centres.
         yaw_rad: (…, A) headings.
         velocity_mps: (…, A, 2) velocities.
         size_m: (…, A, 2) lengths and widths.
-        there: (…, A) who is there.
+        there: (…, A) whether the agent is present.
     """
     size_m = np.broadcast_to(size_m, xy_m.shape)
     seconds = np.full(there.shape, np.inf)
@@ -36,21 +35,21 @@ def least_ttc(
     reach = 0.5 * (np.linalg.norm(size_m[..., i, :], axis=-1) + np.linalg.norm(size_m[..., j, :], axis=-1))
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(offset, axis=-1) <= reach + TTC_HORIZON_S * np.linalg.norm(closing, axis=-1)
-    picked = np.nonzero(near & there[..., i] & there[..., j])
-    if len(picked[0]):
-        a, b = (*picked[:-1], i[picked[-1]]), (*picked[:-1], j[picked[-1]])
-        meets = _meeting_s(offset[picked], closing[picked], (yaw_rad[a], yaw_rad[b]), (size_m[a], size_m[b]))
-        np.minimum.at(seconds, a, meets)
-        np.minimum.at(seconds, b, meets)
+    pairs = np.nonzero(near & there[..., i] & there[..., j])
+    if len(pairs[0]):
+        a, b = (*pairs[:-1], i[pairs[-1]]), (*pairs[:-1], j[pairs[-1]])
+        pair_s = _meeting_s(offset[pairs], closing[pairs], (yaw_rad[a], yaw_rad[b]), (size_m[a], size_m[b]))
+        np.minimum.at(seconds, a, pair_s)
+        np.minimum.at(seconds, b, pair_s)
     return np.where(there, seconds, np.nan)
 
 
 def ttc_counts(seconds: FloatArray) -> FloatArray:
-    """Return counts of *seconds* in ``TTC_BINS_S``, and behind them of those beyond; NaN is left out."""
+    """Return the counts of *seconds* in ``TTC_BINS_S`` and, last, the count of longer ones; NaN is left out."""
     known = seconds[~np.isnan(seconds)]
-    inside = known[known <= TTC_HORIZON_S]
-    counts = np.histogram(inside, TTC_BINS_S)[0].astype(np.float64)
-    return np.append(counts, float(len(known) - len(inside)))
+    within_horizon = known[known <= TTC_HORIZON_S]
+    counts = np.histogram(within_horizon, TTC_BINS_S)[0].astype(np.float64)
+    return np.append(counts, float(len(known) - len(within_horizon)))
 
 
 def _meeting_s(
@@ -59,7 +58,7 @@ def _meeting_s(
     yaw: tuple[FloatArray, FloatArray],
     size: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Return (P,) when the boxes of P pairs meet; inf when they do not."""
+    """Return (P,) when the boxes of P pairs meet; inf if they do not."""
     gaps, along, axes = axis_gaps(offset, yaw[0], 0.5 * size[0], yaw[1], 0.5 * size[1])
     rate = np.einsum("pic,pc->pi", axes, closing)
     return meeting_s(gaps, along, rate)

@@ -1,4 +1,4 @@
-"""What background vehicles did that no vehicle should do, vehicle by vehicle."""
+"""Find implausible motion of background vehicles: off the road, through others, or beyond vehicle limits."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from advdiff_sumo.metrics.comfort import derivatives
 from advdiff_sumo.metrics.offroad import BACKGROUND_EVERY_S, OFF_ROAD_SHARE, off_road_shares
 
 JERK_MPS3 = 25.0
-"""Greatest change of acceleration over half a second; an emergency braking comes to about 18 m/s³."""
+"""Greatest plausible jerk; an emergency braking reaches about 18 m/s³."""
 SLACK = 1.05
-"""Share of a limit that is let pass as rounding and smoothing."""
+"""Limits may be exceeded up to this share, because of rounding and smoothing."""
 THROUGH_M = 0.5
-"""Boxes that overlap by more than this have been driven through each other, not just touched."""
-_LEAST = 5
+"""Vehicles whose boxes overlap by more than this drove through each other."""
+_LEAST_INSTANTS = 5
+"""Shortest stretch for which derivatives are computed."""
 
 
 @dataclass(frozen=True)
 class Implausibility:
-    """One thing that one background vehicle did.
+    """One implausible motion of one background vehicle.
 
     Attributes:
-        vehicle: its name.
-        time_s: when it did so most, since the episode's start.
+        vehicle: id of the vehicle.
+        time_s: time of the greatest value since the episode's start.
         what: "off the road", "collision", "drove through", "acceleration", "braking", "lateral acceleration", "jerk".
-        value: how much.
-        unit: of the value.
-        other: the other vehicle of a collision, else "".
+        value: the greatest value.
+        unit: unit of the value.
+        other: id of the other vehicle in a collision, else "".
     """
 
     vehicle: str
@@ -48,33 +49,34 @@ class Implausibility:
 
 
 def implausibilities(record: EpisodeRecord, road: RoadMap) -> list[Implausibility]:
-    """Return what vehicles did while the policy moved them, the worst of each kind and vehicle, by time.
+    """Return implausible motion while the policy moved a vehicle, the worst of each kind and vehicle, in time order.
 
-    Collisions with the target do not count: they may be what a run is for.
+    Collisions with the target do not count, as they may be the aim of a run.
     """
     tracks = record.tracks
     moved = (record.controller == Controller.POLICY) & tracks.valid
     moved[record.target] = False
-    faults = [*_contacts(record, moved), *_off_road(tracks, moved, road), *_driving(tracks, moved)]
-    return sorted(faults, key=lambda x: (x.time_s, x.vehicle, x.what))
+    found = [*_contacts(record, moved), *_off_road(tracks, moved, road), *_beyond_limits(tracks, moved)]
+    return sorted(found, key=lambda x: (x.time_s, x.vehicle, x.what))
 
 
 def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Implausibility]:
+    """Yield collisions in which the policy moved at least one of the two; *moved* is (A, T)."""
     tracks, touches = record.tracks, find_touches(record.tracks)
     for hit in background_collisions(record, collisions(record, touches)):
         own, other = hit.rows if moved[hit.rows[0], hit.step + 1] else hit.rows[::-1]
         if not moved[own, hit.step + 1]:
             continue
-        both = (touches.first == min(hit.rows)) & (touches.second == max(hit.rows))
-        depth = float(max(0.0, -touches.end_gap_m[both & (touches.step >= hit.step)].min()))
+        same_pair = (touches.first == min(hit.rows)) & (touches.second == max(hit.rows))
+        depth = float(max(0.0, -touches.end_gap_m[same_pair & (touches.step >= hit.step)].min()))
         what = "drove through" if depth > THROUGH_M else "collision"
         yield Implausibility(tracks.ids[own], hit.time_s, what, depth, "m", tracks.ids[other])
 
 
 def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Implausibility]:
     every = max(1, round(BACKGROUND_EVERY_S / tracks.dt_s))
-    driven = np.isin(tracks.classes, MOTOR_CLASSES)
-    for row in np.flatnonzero(moved.any(axis=1) & driven).tolist():
+    is_motor = np.isin(tracks.classes, MOTOR_CLASSES)
+    for row in np.flatnonzero(moved.any(axis=1) & is_motor).tolist():
         steps = np.flatnonzero(moved[row] & tracks.valid[row])
         steps = steps[:: every if len(steps) > every else 1]
         share = off_road_shares(road, tracks, np.full(len(steps), row), steps)
@@ -86,17 +88,18 @@ def _off_road(tracks: Tracks, moved: BoolArray, road: RoadMap) -> Iterator[Impla
             )
 
 
-def _driving(tracks: Tracks, moved: BoolArray) -> Iterator[Implausibility]:
+def _beyond_limits(tracks: Tracks, moved: BoolArray) -> Iterator[Implausibility]:
     for row in np.flatnonzero(moved.any(axis=1)).tolist():
         worst: dict[str, Implausibility] = {}
         for start, stop in stretches(moved[row]):
-            for one in _too_hard(tracks, row, start, stop) if stop - start >= _LEAST else ():
-                if one.what not in worst or one.value > worst[one.what].value:
-                    worst[one.what] = one
+            for excess in _excesses(tracks, row, start, stop) if stop - start >= _LEAST_INSTANTS else ():
+                if excess.what not in worst or excess.value > worst[excess.what].value:
+                    worst[excess.what] = excess
         yield from worst.values()
 
 
-def _too_hard(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Implausibility]:
+def _excesses(tracks: Tracks, row: int, start: int, stop: int) -> Iterator[Implausibility]:
+    """Yield each limit that agent *row* exceeds at instants *start* to *stop* (exclusive), where it is worst."""
     limits = Limits()
     accel, jerk, _, lateral = derivatives(tracks, row, slice(start, stop))
     for what, unit, limit, value in (

@@ -1,4 +1,4 @@
-"""How far the target came: along its route, in metres driven, and how fast."""
+"""Progress of the target: along its route, in metres driven, and its speed."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import unbroken
 from advdiff_sumo.metrics.placement import place
 
-#: Instants between two looks at the position on the route.
+#: The position on the route is determined at this interval.
 _EVERY_S = 0.5
-#: Positions may advance this much more than the metres driven (curves, lanes of unlike length).
+#: Positions may advance by this factor and distance more than driven (curves, lanes of unequal length).
 _STRETCH = 1.2
 _SLACK_M = 5.0
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the target came.
+    """Progress of the target.
 
     Attributes:
-        route_m: from its first place on the route to the farthest one; None when never on its route.
-        route_share: the same as a share of what lay ahead at the start, in [0, 1].
+        route_m: distance from its first position on the route to the farthest one; None if never on its route.
+        route_share: the same as a share of the route that lay ahead at the start, in [0, 1].
         completed: whether it reached the end of its route.
         distance_m: length of the driven path.
         speed_mean_mps: mean of the absolute speed.
@@ -45,18 +45,18 @@ def progress(record: EpisodeRecord, road: RoadMap) -> Progress:
     """Return the target's progress over the whole record."""
     tracks, row = record.tracks, record.target
     speed = np.abs(tracks.speed_mps[row][tracks.valid[row]])
-    along, length = _positions(record, road), _route_length_m(road, record.route)
-    arrived = record.end is EndReason.ARRIVED
-    driven = share = None
-    if along:
-        ahead = max(length - along[0], 1e-9)
-        driven = max(along) - along[0]
-        share = 1.0 if arrived else min(1.0, driven / ahead)
-        arrived = arrived or length - max(along) <= tracks.size_m[row, 0]
+    positions, length = _positions(record, road), _route_length_m(road, record.route)
+    completed = record.end is EndReason.ARRIVED
+    route_m = share = None
+    if positions:
+        ahead = max(length - positions[0], 1e-9)
+        route_m = max(positions) - positions[0]
+        share = 1.0 if completed else min(1.0, route_m / ahead)
+        completed = completed or length - max(positions) <= tracks.size_m[row, 0]
     return Progress(
-        route_m=driven,
+        route_m=route_m,
         route_share=share,
-        completed=bool(arrived),
+        completed=bool(completed),
         distance_m=float(_driven_m(record)[-1]),
         speed_mean_mps=float(speed.mean()) if speed.size else None,
         speed_max_mps=float(speed.max()) if speed.size else None,
@@ -69,30 +69,30 @@ def _route_length_m(road: RoadMap, route: tuple[str, ...]) -> float:
 
 
 def _edge_starts(road: RoadMap, route: tuple[str, ...]) -> list[float]:
-    """Return where each edge of *route* begins, junctions between them included; [] for edges not in the net."""
+    """Return the distance along *route* at which each edge begins, junctions included; [] if one is not in the net."""
     if not route or any(edge not in road.edges for edge in route):
         return []
     starts = [0.0]
-    for edge, onward in pairwise(route):
-        starts.append(starts[-1] + road.edges[edge].length_m + _crossing_m(road, edge, onward))
+    for edge, next_edge in pairwise(route):
+        starts.append(starts[-1] + road.edges[edge].length_m + _junction_length_m(road, edge, next_edge))
     return starts
 
 
-def _crossing_m(road: RoadMap, edge: str, onward: str) -> float:
+def _junction_length_m(road: RoadMap, edge: str, next_edge: str) -> float:
     """Return the length of the shortest way over the junction between two edges."""
     lengths = [
         sum(road.lanes[x].length_m for x in link.via)
         for lane in road.edges[edge].lane_ids
         for link in road.lanes[lane].successors
-        if road.lanes[link.to_lane].edge_id == onward
+        if road.lanes[link.to_lane].edge_id == next_edge
     ]
     return min(lengths, default=0.0)
 
 
 def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
-    """Return positions along the route, in the order of time, where the target is on an edge of it or between two.
+    """Return positions along the route, in time order, while the target is on an edge of it or between two.
 
-    On a route that passes an edge twice, the next passage counts once the edge before it was reached.
+    If the route passes an edge twice, the second passage counts once the edge before it has been reached.
     """
     starts = _edge_starts(road, record.route)
     if not starts:
@@ -101,19 +101,18 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
     every = max(1, round(_EVERY_S / record.tracks.dt_s))
     driven = _driven_m(record)
     positions: list[tuple[float, float]] = []  # position along the route, metres driven until there
-    passed = 0
+    reached = 0
     for k in sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1}):
-        edge = _route_edge(road, placed.lane[k], record.route, passed)
-        if edge is None:
+        number = _route_edge(road, placed.lane[k], record.route, reached)
+        if number is None:
             continue
-        at = starts[edge[0]] + _along_edge(
-            road, record.route[edge[0]], str(placed.lane[k]), float(placed.s_m[k])
-        )
-        if positions and at - positions[-1][0] > _STRETCH * (driven[k] - positions[-1][1]) + _SLACK_M:
+        s_m = _along_edge(road, record.route[number], str(placed.lane[k]), float(placed.s_m[k]))
+        position = starts[number] + s_m
+        if positions and position - positions[-1][0] > _STRETCH * (driven[k] - positions[-1][1]) + _SLACK_M:
             continue  # a later edge of the route that lies close by
-        passed = edge[0]
-        positions.append((at, float(driven[k])))
-    return [at for at, _ in positions]
+        reached = number
+        positions.append((position, float(driven[k])))
+    return [position for position, _ in positions]
 
 
 def _driven_m(record: EpisodeRecord) -> FloatArray:
@@ -124,24 +123,21 @@ def _driven_m(record: EpisodeRecord) -> FloatArray:
 
 
 def _along_edge(road: RoadMap, edge_id: str, lane_id: str, s_m: float) -> float:
-    """Return the distance from the start of an edge to a place on one of its lanes or on the way out of it."""
+    """Return the distance from the start of an edge to a position on one of its lanes or on the junction after it."""
     lane, length = road.lanes[lane_id], road.edges[edge_id].length_m
     return length + s_m if lane.is_internal else s_m * length / lane.length_m
 
 
-def _route_edge(
-    road: RoadMap, lane_id: str | None, route: tuple[str, ...], passed: int
-) -> tuple[int, bool] | None:
-    """Return which edge of *route*, from number *passed* on, a lane belongs to or (True) leaves by."""
+def _route_edge(road: RoadMap, lane_id: str | None, route: tuple[str, ...], reached: int) -> int | None:
+    """Return the number, at least *reached*, of the route's edge that a lane belongs to or leads away from."""
     if lane_id is None:
         return None
     lane = road.lanes[lane_id]
     if not lane.is_internal:
-        number = next((n for n in range(passed, len(route)) if route[n] == lane.edge_id), None)
-        return None if number is None else (number, False)
-    for number in range(passed, len(route) - 1):
+        return next((n for n in range(reached, len(route)) if route[n] == lane.edge_id), None)
+    for number in range(reached, len(route) - 1):
         for name in road.edges[route[number]].lane_ids:
             for link in road.lanes[name].successors:
                 if lane_id in link.via and road.lanes[link.to_lane].edge_id == route[number + 1]:
-                    return number, True
+                    return number
     return None

@@ -1,4 +1,4 @@
-"""Which episodes are worst: the order of reports, findings and lists."""
+"""Order episodes by severity, for reports, findings and lists."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ def is_failure(row: Row) -> bool:
 
 
 def has_outcome(row: Row) -> bool:
-    """Return whether rates count the episode: it was finished, or failed only after the target's collision."""
+    """Return whether rates include the episode: it was finished, or failed only after the target's collision."""
     return not is_failure(row) or bool(row.get("target_collision"))
 
 
 def is_valid_failure(row: Row) -> bool:
-    """Return whether the episode ended in a collision that counts; False where it has no verdict yet."""
+    """Return whether the episode ended in a valid failure; False if it has no verdict yet."""
     return bool(row["target_collision"]) and bool(row.get("valid_failure"))
 
 
 def broke_rule(row: Row) -> bool:
-    """Return whether the target broke a rule of itself, collision or not; False where that is not known."""
+    """Return whether the target broke a rule, with or without a collision; False if unknown."""
     return bool(row.get("offences"))
 
 
 def badge(row: Row) -> str:
-    """Return the verdict of an episode in a word or two."""
-    if row.get("target_collision"):  # also where the episode failed after it
+    """Return the verdict of an episode in one or two words."""
+    if row.get("target_collision"):  # also if the episode failed after it
         if row.get("valid_failure") is None:
             return "not judged"
         if row["valid_failure"]:
@@ -47,26 +47,28 @@ def badge(row: Row) -> str:
 
 
 def worst_first(rows: Iterable[Row]) -> list[Row]:
-    """Return the episodes by severity.
+    """Return the episodes by severity, the worst first.
 
-    Collisions (valid failures first, then those the target caused, then by the speed at which the boxes closed),
-    failures, then critical near misses by the braking they would have taken, then those in which the target broke a
-    rule, then the others; both from the least time to collision to the largest, then by clearance.
+    1. Collisions: valid failures first, then by fault (target, unclear, other), then by closing speed.
+    2. Episodes that could not be finished.
+    3. Critical near misses, by the braking that they needed.
+    4. Episodes in which the target broke a rule, by time to collision, then by clearance.
+    5. All others, in the same order.
 
     Args:
-        rows: of ``episodes.parquet``.
+        rows: rows of ``episodes.parquet``.
     """
     return sorted(rows, key=severity)
 
 
 def severity(row: Row) -> tuple[float, ...]:
-    """Return what :func:`worst_first` sorts by."""
+    """Return the sort key of :func:`worst_first`."""
     number = float(row["episode"])
     if row["target_collision"]:
-        counts = 0.0 if is_valid_failure(row) else 1.0
+        validity = 0.0 if is_valid_failure(row) else 1.0
         return (
             0.0,
-            counts,
+            validity,
             _FAULT_ORDER.get(row["at_fault"], 3),
             -_known(row["closing_speed_mps"], 0.0),
             number,
@@ -79,5 +81,5 @@ def severity(row: Row) -> tuple[float, ...]:
     return tier, _known(row["min_ttc_s"]), _known(row["min_clearance_m"]), number
 
 
-def _known(value: float | None, otherwise: float = math.inf) -> float:
-    return otherwise if value is None or math.isnan(value) else value
+def _known(value: float | None, default: float = math.inf) -> float:
+    return default if value is None or math.isnan(value) else value

@@ -1,4 +1,4 @@
-"""Statistics of episodes: rates with their intervals, paired tests, and the bootstrap over seed scenes."""
+"""Statistics over episodes: rates with intervals, paired tests, and the bootstrap over seed scenes."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from scipy.special import bdtr, bdtrc, ndtri, rel_entr  # scipy.stats would take
 
 from advdiff_sumo.core.arrays import FloatArray
 
-#: Percentiles between which an interval of the bootstrap lies: 95 %.
+#: Percentiles at the ends of a 95 % bootstrap interval.
 TAILS = (2.5, 97.5)
-_AT_ONCE = 250
-_NO_WIDTH = 1e-9  # what rounding leaves of it
+#: Bootstrap samples that are drawn at once.
+_BATCH = 250
+#: An interval narrower than this has no width; the rest is rounding.
+_NO_WIDTH = 1e-9
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something happened, with its 95 % Wilson interval.
+    """The rate of an event, with its 95 % Wilson interval.
 
     Attributes:
-        count: how often.
-        total: out of how many.
-        low: lower end; None without a sample.
-        high: upper end; None without a sample.
+        count: number of trials with the event.
+        total: number of trials.
+        low: lower end of the interval; None without trials.
+        high: upper end of the interval; None without trials.
     """
 
     count: int
@@ -40,12 +42,12 @@ class Rate:
 
     @staticmethod
     def of_flags(flags: Sequence[bool]) -> Rate:
-        """Return the rate of those of *flags* that are set."""
+        """Return the rate of True in *flags*."""
         return Rate.of(sum(flags), len(flags))
 
     @property
     def share(self) -> float | None:
-        """The observed share; None without a sample."""
+        """The observed share; None without trials."""
         return self.count / self.total if self.total else None
 
 
@@ -58,26 +60,27 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     if not 0 <= count <= total or total == 0:
         raise ValueError(f"{count} of {total} is no rate")
     z, share = float(ndtri(0.975)), count / total
-    middle = (share + 0.5 * z**2 / total) / (1.0 + z**2 / total)
+    centre = (share + 0.5 * z**2 / total) / (1.0 + z**2 / total)
     half = z * (share * (1.0 - share) / total + 0.25 * (z / total) ** 2) ** 0.5 / (1.0 + z**2 / total)
-    return max(middle - half, 0.0) if count else 0.0, min(middle + half, 1.0) if count < total else 1.0
+    return max(centre - half, 0.0) if count else 0.0, min(centre + half, 1.0) if count < total else 1.0
 
 
 def spread(low: float, high: float, trials: int) -> tuple[float, float]:
-    """Return the bootstrap's interval of a paired difference of rates, or a wider one where it has no width.
+    """Return the bootstrap interval of a paired difference of rates, widened if it has no width.
 
-    Pairs that all differ alike, such as those without a discordant one, show no spread when they are drawn again. That
-    none of so many is otherwise says that up to Wilson's bound for none may be, and the difference lies within that.
+    If all pairs have the same difference (for example, if none is discordant), resampling shows no spread. Since none
+    of the *trials* differs, the true rate of differing ones is at most Wilson's upper bound for zero of *trials*. The
+    interval is widened by this bound.
 
     Args:
         low: lower end.
         high: upper end.
-        trials: pairs, or the trials of the rate that has fewer.
+        trials: number of pairs, or of trials of the rate that has fewer.
     """
     if high - low > _NO_WIDTH:
         return low, high
-    most = wilson(0, trials)[1]
-    return max(low - most, -1.0), min(high + most, 1.0)
+    bound = wilson(0, trials)[1]
+    return max(low - bound, -1.0), min(high + bound, 1.0)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -86,12 +89,12 @@ def mcnemar(only_a: int, only_b: int) -> float:
 
 
 def mcnemar_more(only_a: int, only_b: int) -> float:
-    """Return the one-sided p of the exact McNemar test that a happens more often than b; 1 without discordant pairs."""
+    """Return the one-sided p of the exact McNemar test for a being more frequent than b; 1 without discordant pairs."""
     return float(bdtrc(only_a - 1, only_a + only_b, 0.5))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return *p_values* adjusted for each other by Holm's step-down method (doi:10.2307/4615733), in their order."""
+    """Return *p_values*, in their order, adjusted by Holm's step-down method (doi:10.2307/4615733)."""
     order = sorted(range(len(p_values)), key=lambda k: p_values[k])
     adjusted, largest = [1.0] * len(p_values), 0.0
     for rank, k in enumerate(order):
@@ -101,17 +104,17 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def bootstrap_counts(scenes: int, seed: int, resamples: int) -> Iterator[FloatArray]:
-    """Yield (R, S) how often each of S scenes is drawn in each sample of the bootstrap, some samples at a time."""
+    """Yield batches (R, S) of bootstrap samples: how often each of S scenes is drawn in each of R samples."""
     rng = np.random.default_rng(seed)
-    shares = np.full(scenes, 1.0 / scenes)
-    for begun in range(0, resamples, _AT_ONCE):
-        yield rng.multinomial(scenes, shares, size=min(_AT_ONCE, resamples - begun)).astype(np.float64)
+    probabilities = np.full(scenes, 1.0 / scenes)
+    for start in range(0, resamples, _BATCH):
+        yield rng.multinomial(scenes, probabilities, size=min(_BATCH, resamples - start)).astype(np.float64)
 
 
 def jensen_shannon(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return Jensen-Shannon divergences (…) of histograms (…, K), 0 (alike) … 1 (nothing in common), base 2.
+    """Return Jensen-Shannon divergences (…) of histograms (…, K), base 2: 0 for equal ones, 1 for disjoint ones.
 
-    NaN where one is empty. ``scipy.spatial.distance.jensenshannon`` gives the square root, which rounding makes NaN for
+    NaN if one is empty. ``scipy.spatial.distance.jensenshannon`` returns the square root, which rounding makes NaN for
     histograms that hardly differ.
     """
     p_total, q_total = p.sum(-1, keepdims=True), q.sum(-1, keepdims=True)

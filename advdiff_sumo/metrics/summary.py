@@ -1,4 +1,4 @@
-"""All metrics of one episode."""
+"""Compute all metrics of one episode."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from advdiff_sumo.metrics.offroad import (
 from advdiff_sumo.metrics.progress import Progress, progress
 from advdiff_sumo.metrics.verdict import Verdict, judge
 
-#: The attacker counts as seen when it was perceived at any instant this long before the contact.
+#: The attacker counts as seen if it was perceived at any instant within this time before the contact.
 SEEN_WITHIN_S = 1.0
 
 
@@ -44,7 +44,7 @@ class Judged:
 
     Attributes:
         collision: the collision.
-        verdict: what kind, who caused it, who broke which rule, and whether it counts.
+        verdict: its kind, the party at fault, the breaches, and whether it is a valid failure.
         visible: whether a SUMO-driven target perceived the partner; None for Python planners.
     """
 
@@ -54,18 +54,18 @@ class Judged:
 
     @property
     def kind(self) -> CollisionType:
-        """What kind of collision it was."""
+        """The kind of collision."""
         return self.verdict.kind
 
     @property
     def fault(self) -> Fault:
-        """Who caused it."""
+        """The party at fault."""
         return self.verdict.fault
 
 
 @dataclass(frozen=True)
 class Criticality:
-    """The most critical instants before any collision of the target; None where nothing came near.
+    """The most critical instants before any collision of the target; None if nothing came near.
 
     Attributes:
         ttc: least time to collision of boxes, in s.
@@ -90,16 +90,15 @@ class EpisodeMetrics:
         contacts: every collision of two agents, initial overlaps included.
         struck: the target's first collision with another agent, unless it left the road before.
         left_road: when the target left the road, unless it had collided before.
-        near_miss: of an episode without a collision of the target, what asks for the hardest braking; None where
-            nothing came near.
-        offences: rules that the target broke of itself, collision or not.
-        sumo: SUMO's list against ours.
-        criticality: how near it came.
-        comfort: how the ride felt.
-        progress: how far it came.
-        background: collisions of background vehicles among themselves, replayed pairs left out.
-        replayed: collisions of two that both follow their log.
-        background_off_road: how they left the road.
+        near_miss: the near miss that needed the hardest braking, if the target had no collision; None without one.
+        offences: rules that the target broke, with or without a collision.
+        sumo: comparison with SUMO's collision list.
+        criticality: the most critical instants.
+        comfort: accelerations, jerk and yaw rate of the target.
+        progress: progress of the target.
+        background: collisions of background vehicles among themselves, without replayed pairs.
+        replayed: collisions of two road users that both follow their log.
+        background_off_road: how far background vehicles left the road.
     """
 
     contacts: tuple[Collision, ...]
@@ -127,7 +126,7 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     Args:
         record: the episode.
         road: its map.
-        solvable: of the target's first collision with another, as in
+        solvable: whether the target's first collision with another is solvable, as in
             :func:`~advdiff_sumo.metrics.verdict.judge`.
     """
     touches = find_touches(record.tracks)
@@ -140,14 +139,14 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
             struck = None
     before = _before(record, struck, left_road)
     criticality = _criticality(record, road, before, struck)
-    collided = struck is not None or left_road is not None or record.end is EndReason.FAILED
-    hit = None if struck is None else judged(record, road, struck, solvable)
+    is_near_miss_possible = struck is None and left_road is None and record.end is not EndReason.FAILED
+    judged_collision = None if struck is None else judged(record, road, struck, solvable)
     return EpisodeMetrics(
         contacts=tuple(contacts),
-        struck=hit,
+        struck=judged_collision,
         left_road=left_road,
-        near_miss=None if collided else near_miss(record, road),
-        offences=_with_those_of(hit, offences(record, road)),
+        near_miss=near_miss(record, road) if is_near_miss_possible else None,
+        offences=_with_breaches_of(judged_collision, offences(record, road)),
         sumo=compare_with_sumo(record, touches),
         criticality=criticality,
         comfort=comfort(before, record.target),
@@ -158,12 +157,12 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     )
 
 
-def _with_those_of(hit: Judged | None, offences: tuple[Breach, ...]) -> tuple[Breach, ...]:
-    """Return *offences* and rules of their kinds that the target broke in its collision, in the order of time."""
-    known = {one.kind for one in offences}
-    led_to_it = () if hit is None else hit.verdict.target_breaches
-    more = (one for one in led_to_it if one.kind in OFFENCE_KINDS - known)
-    return tuple(sorted((*offences, *more), key=lambda one: one.time_s))
+def _with_breaches_of(collision: Judged | None, offences: tuple[Breach, ...]) -> tuple[Breach, ...]:
+    """Return *offences* in time order, with the target's breaches in *collision* of kinds not yet among them."""
+    known = {x.kind for x in offences}
+    breaches = () if collision is None else collision.verdict.target_breaches
+    added = (x for x in breaches if x.kind in OFFENCE_KINDS - known)
+    return tuple(sorted((*offences, *added), key=lambda x: x.time_s))
 
 
 def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad | None) -> Tracks:
@@ -176,7 +175,7 @@ def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad 
 def judged(
     record: EpisodeRecord, road: RoadMap, collision: Collision, solvable: bool | None = None
 ) -> Judged:
-    """Return a collision of the target with its verdict and whether the target saw it come."""
+    """Return a collision of the target with its verdict and whether the target perceived its partner."""
     verdict = judge(record, road, collision, solvable)
     return Judged(collision, verdict, attacker_visible(record, collision))
 
@@ -203,9 +202,9 @@ def _criticality(
 def attacker_visible(record: EpisodeRecord, collision: Collision) -> bool | None:
     """Return whether the target's model perceived its partner in the second before the contact.
 
-    SUMO's models see leaders, junction foes and neighbours only; a collision with anything else shows a limit
-    of the lane model, not of the planner. None when a Python planner drove, which sees everything, or when
-    the target takes no part.
+    SUMO's models perceive leaders, junction foes and neighbours only. A collision with another road user shows a limit
+    of the lane model, not of the planner. None if a Python planner drove, which perceives everything, or if the target
+    takes no part.
     """
     if record.visible is None or collision.rows[0] != record.target:
         return None

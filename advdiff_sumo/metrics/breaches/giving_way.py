@@ -117,7 +117,7 @@ def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Lin
 
 
 def _link_has_priority(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool) -> bool:
-    """Return whether the net makes the target yield to a vehicle on *link* that has *entered* or sees no red."""
+    """Return whether the net makes the target yield to a vehicle on *link*; not if a signal stops it at the line."""
     if not view.road.must_yield(entry.link, link) or view.road.must_yield(link, entry.link):
         return False
     if entered or link.tls_id is None or link.tls_index is None or not view.signals:

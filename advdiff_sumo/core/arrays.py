@@ -1,4 +1,4 @@
-"""Array types, so that signatures say what they hold, and what they share: a division, and arrays nobody changes."""
+"""Array types for signatures, and small helpers for arrays: division, stretches of a mask, read-only arrays."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _Array = TypeVar("_Array", bound=NDArray[np.generic])
 
 
 def quotient(value: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return *value* / *rate* where the rate is above 0 and inf elsewhere; too large for a number is inf, too."""
-    some = rate > 0.0
+    """Return *value* / *rate* where the rate is above 0, and inf elsewhere; an overflow also gives inf."""
+    positive = rate > 0.0
     with np.errstate(over="ignore"):
-        return np.asarray(np.where(some, value / np.where(some, rate, 1.0), np.inf))
+        return np.asarray(np.where(positive, value / np.where(positive, rate, 1.0), np.inf))
 
 
 def stretches(mask: BoolArray) -> list[tuple[int, int]]:
@@ -27,6 +27,6 @@ def stretches(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def read_only(array: _Array) -> _Array:
-    """Return *array* itself, which nobody can write into from now on: many share it."""
+    """Return *array* itself, made read-only because it is shared."""
     array.setflags(write=False)
     return array

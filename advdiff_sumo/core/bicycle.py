@@ -1,4 +1,4 @@
-"""Kinematic bicycle, integrated exactly: constant acceleration and curvature drive along a circular arc.
+"""Kinematic bicycle model, integrated exactly: constant acceleration and curvature give a circular arc.
 
 Because the arc is exact, one step of 0.5 s and five of 0.1 s end in the same pose, so the decoder's 0.5 s
 steps and the simulation's 0.1 s steps agree. The reference point is the box centre, without side slip (the
@@ -17,12 +17,12 @@ from advdiff_sumo.core.frames import wrapped
 
 WHEELBASE_PER_LENGTH = 0.6
 _TINY_RAD = float(np.finfo(np.float64).eps)
-"""Turn that stands for none, so that chord over arc is 1."""
+"""Replaces a turn of 0, so that the ratio of chord to arc is 1."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a vehicle can do; refused or clipped beyond.
+    """Limits of a vehicle; values beyond them are refused or clipped.
 
     Attributes:
         accel_mps2: strongest acceleration.
@@ -54,7 +54,7 @@ def step(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pose and speed after *dt_s*; the vehicle stops at zero speed and does not reverse.
 
-    All arrays are (…,) but *xy_m*, which is (…, 2).
+    All arrays are (…,), except *xy_m*, which is (…, 2).
     """
     x, y, yaw, speed = advance(
         xy_m[..., 0], xy_m[..., 1], yaw_rad, speed_mps, accel_mps2, curvature_1pm, dt_s
@@ -71,19 +71,19 @@ def advance(
     curvature_1pm: FloatArray,
     dt_s: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what :func:`step` does, coordinate by coordinate: x, y, yaw and speed (…,)."""
+    """Return the result of :func:`step` as separate x, y, yaw and speed (…,)."""
     stop_s = np.where(accel_mps2 < 0.0, speed_mps / np.maximum(-accel_mps2, 1e-9), np.inf)
     moving_s = np.minimum(np.maximum(stop_s, 0.0), dt_s)
     travelled = speed_mps * moving_s + 0.5 * accel_mps2 * moving_s**2
     turn = curvature_1pm * travelled
-    half = 0.5 * turn
-    swept = np.pi * (half / np.pi)  # as np.sinc rounds it
-    swept = np.where(swept, swept, _TINY_RAD)
-    chord = travelled * (np.sin(swept) / swept)
-    heading = yaw_rad + half
+    half_turn = 0.5 * turn
+    angle = np.pi * (half_turn / np.pi)  # rounded as in np.sinc
+    angle = np.where(angle, angle, _TINY_RAD)
+    chord = travelled * (np.sin(angle) / angle)
+    chord_yaw = yaw_rad + half_turn
     speed = np.where(stop_s <= dt_s, 0.0, speed_mps + accel_mps2 * dt_s)
-    east, north = x_m + chord * np.cos(heading), y_m + chord * np.sin(heading)
-    return east, north, wrapped(yaw_rad + turn), speed[()]
+    x, y = x_m + chord * np.cos(chord_yaw), y_m + chord * np.sin(chord_yaw)
+    return x, y, wrapped(yaw_rad + turn), speed[()]
 
 
 def clip_controls(
@@ -100,7 +100,7 @@ def clip_controls(
 
 
 def tightest_curvature_1pm(length_m: FloatArray, limits: Limits) -> FloatArray:
-    """Return the curvature (…,) of vehicles of *length_m* (…,) that steer as far as *limits* let them."""
+    """Return the curvature (…,) of vehicles of *length_m* (…,) at the largest steering angle of *limits*."""
     return np.asarray(np.tan(limits.steer_rad) / wheelbase_m(length_m))
 
 
@@ -111,11 +111,11 @@ def bounded_controls(
     tightest_1pm: FloatArray,
     limits: Limits,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return :func:`clip_controls` of vehicles whose :func:`tightest_curvature_1pm` is known; all arrays (…,)."""
+    """Return :func:`clip_controls` for vehicles whose :func:`tightest_curvature_1pm` is known; all arrays (…,)."""
     accel = np.minimum(np.maximum(accel_mps2, -limits.brake_mps2), limits.accel_mps2)
     accel = np.where(speed_mps >= limits.speed_mps, np.minimum(accel, 0.0), accel)[()]
-    grip = limits.lateral_mps2 / np.maximum(speed_mps, 0.1) ** 2
-    bound = np.minimum(tightest_1pm, grip)
+    lateral_bound = limits.lateral_mps2 / np.maximum(speed_mps, 0.1) ** 2
+    bound = np.minimum(tightest_1pm, lateral_bound)
     return accel, np.minimum(np.maximum(curvature_1pm, -bound), bound)
 
 
@@ -140,6 +140,6 @@ def rollout(
 def stacked(
     states: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return *states* of T instants, each (…, 2), (…,), (…,), as (…, T, 2), (…, T), (…, T)."""
+    """Return *states* at T instants, each (…, 2), (…,), (…,), as arrays (…, T, 2), (…, T), (…, T)."""
     xy_m, yaw_rad, speed_mps = zip(*states, strict=True)
     return np.stack(xy_m, axis=-2), np.stack(yaw_rad, axis=-1), np.stack(speed_mps, axis=-1)

@@ -1,6 +1,6 @@
-"""Oriented boxes: corners, overlap and clearance, for whole arrays of pairs.
+"""Oriented boxes: corners, overlap and clearance, for arrays of pairs.
 
-A box is given by its four corners, or by pose and size where speed counts (:func:`axis_gaps`).
+A box is given by its four corners or, for faster computation, by pose and size (:func:`axis_gaps`).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def corners(xy_m: FloatArray, yaw_rad: FloatArray, size_m: FloatArray) -> FloatA
 def separation(corners_a_m: FloatArray, corners_b_m: FloatArray) -> FloatArray:
     """Return the largest gap (…,) over the four separating axes of two boxes; negative: they overlap by that.
 
-    The separating-axis theorem: two convex shapes are apart exactly when some edge normal separates their
-    projections. For boxes that are apart this is a lower bound of the distance. NaN in, NaN out.
+    By the separating-axis theorem, two convex shapes are apart exactly if some edge normal separates their
+    projections. For boxes that are apart this is a lower bound of the distance. NaN gives NaN.
     """
     axes = np.concatenate(
         (
@@ -54,10 +54,10 @@ def axis_gaps(
     yaw_b_rad: FloatArray,
     half_b_m: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the gaps of two boxes along the four separating axes, without making corners.
+    """Return the gaps of two boxes along the four separating axes, without computing corners.
 
-    The largest of the four gaps is :func:`separation`; below zero it is minus the least translation that
-    parts the boxes. See Gottschalk, Lin and Manocha (1996), "OBBTree", doi:10.1145/237170.237244.
+    The largest of the four gaps is :func:`separation`. If negative, it is minus the least translation that separates
+    the boxes. See Gottschalk, Lin and Manocha (1996), "OBBTree", doi:10.1145/237170.237244.
 
     Args:
         offset_m: (…, 2) centre of b minus centre of a.
@@ -67,8 +67,8 @@ def axis_gaps(
         half_b_m: (…, 2) half length and half width of b.
 
     Returns:
-        (…, 4) gaps, (…, 4) signed projections of the offset, and (…, 4, 2) unit axes: a along, a across,
-        b along, b across.
+        (…, 4) gaps, (…, 4) signed projections of the offset, and (…, 4, 2) unit axes: along a, across a, along b,
+        across b.
     """
     cos, sin = np.cos((yaw_a_rad, yaw_b_rad)), np.sin((yaw_a_rad, yaw_b_rad))  # (2, …)
     x, y = offset_m[..., 0], offset_m[..., 1]
@@ -96,7 +96,7 @@ def overlap(corners_a_m: FloatArray, corners_b_m: FloatArray) -> BoolArray:
 
 
 def distance(corners_a_m: FloatArray, corners_b_m: FloatArray) -> FloatArray:
-    """Return the Euclidean distance (…,) between two boxes (…, 4, 2); 0 when they overlap, NaN for NaN.
+    """Return the Euclidean distance (…,) between two boxes (…, 4, 2); 0 if they overlap, NaN for NaN.
 
     Two disjoint convex polygons are nearest at a corner of one of them, so corner-to-edge distances suffice.
     """
@@ -105,10 +105,11 @@ def distance(corners_a_m: FloatArray, corners_b_m: FloatArray) -> FloatArray:
 
 
 def _corners_to_edges(points: FloatArray, box: FloatArray) -> FloatArray:
+    """Return the least distance (…,) of the corners *points* to the edges of *box*, both (…, 4, 2)."""
     start = box[..., None, :, :]  # (…, 1, edge, 2)
-    along = np.roll(box, -1, axis=-2)[..., None, :, :] - start
+    edge = np.roll(box, -1, axis=-2)[..., None, :, :] - start
     delta = points[..., :, None, :] - start  # (…, corner, edge, 2)
-    squared = np.maximum((along**2).sum(-1), 1e-18)
-    share = np.clip((delta * along).sum(-1) / squared, 0.0, 1.0)
-    gap = np.linalg.norm(delta - share[..., None] * along, axis=-1)
+    squared_length = np.maximum((edge**2).sum(-1), 1e-18)
+    share = np.clip((delta * edge).sum(-1) / squared_length, 0.0, 1.0)
+    gap = np.linalg.norm(delta - share[..., None] * edge, axis=-1)
     return np.asarray(gap.min(axis=(-2, -1)))

@@ -1,4 +1,4 @@
-"""Names that tell files of one name in several folders apart."""
+"""Make distinct names for files of the same name in several folders."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ from pathlib import Path
 
 
 def distinct_names(names: Mapping[Path, str]) -> dict[Path, str]:
-    """Return *names* of files, each after as many of the file's folders as tell it from the others.
+    """Return *names* of files, each preceded by as many of the file's folders as make it unique.
 
-    Where both are "boston", ``a/boston.net.xml`` and ``b/boston.net.xml`` become "a-boston" and "b-boston"; a name that
-    is there once stays. Files of one folder are told apart by all of their file name.
+    If both are named "boston", ``a/boston.net.xml`` and ``b/boston.net.xml`` become "a-boston" and "b-boston". A unique
+    name does not change. Files in one folder get their full file name.
     """
-    out = dict(names)
-    for depth in range(1, max((len(path.parts) for path in _alike(out)), default=0)):
-        for path in _alike(out):
+    result = dict(names)
+    for depth in range(1, max((len(path.parts) for path in _with_equal_names(result)), default=0)):
+        for path in _with_equal_names(result):
             folders = (part.strip("/") for part in path.parent.parts[-depth:])
-            out[path] = "-".join((*filter(None, folders), names[path]))
-    return out | {path: "-".join((*path.parent.parts[-1:], path.name)) for path in _alike(out)}
+            result[path] = "-".join((*filter(None, folders), names[path]))
+    return result | {
+        path: "-".join((*path.parent.parts[-1:], path.name)) for path in _with_equal_names(result)
+    }
 
 
-def _alike(names: Mapping[Path, str]) -> list[Path]:
+def _with_equal_names(names: Mapping[Path, str]) -> list[Path]:
+    """Return the files whose name occurs more than once."""
     counts = Counter(names.values())
     return [path for path, name in names.items() if counts[name] > 1]

@@ -47,8 +47,8 @@ class FileError(InputError):
 
     Attributes:
         path: the file.
-        problem: what is wrong with it, as a sentence whose subject it is.
-        remedy: what to do, "" where that is plain.
+        problem: what is wrong, as a sentence whose subject is the file.
+        remedy: what to do; "" if that is obvious.
     """
 
     def __init__(self, path: str | Path, problem: str, remedy: str = "") -> None:
@@ -154,26 +154,26 @@ class NotInsertedError(SimulationError):
 
 
 UNEXPLAINED_KINDS = frozenset({SimulationError.kind, "simulator_crashed", "worker_died", "error"})
-"""Kinds of failure that neither a plug-in nor what was given explains: faults of SUMO, the machine or this package."""
+"""Kinds of failure caused by SUMO, the machine or this package, not by a plug-in or by the user's input."""
 
 
 def os_reason(error: OSError) -> str:
-    """Return what the system says of *error*, such as "No such file or directory"; where that is nothing, its text.
+    """Return the system's message for *error*, such as "No such file or directory", or else the text of *error*.
 
-    Libraries raise ``OSError("…")`` without a number, whose ``strerror`` is None.
+    Libraries raise ``OSError("…")`` without a number; its ``strerror`` is None.
     """
     return error.strerror or str(error) or type(error).__name__
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'?" for the nearest of *known*, else a list of all of them."""
+    """Return "did you mean 'x'?" for the name in *known* that is nearest to *name*, else a list of all of them."""
     names = sorted(known)
-    near = nearest(name, names)
-    return f"known are: {', '.join(names)}" if near is None else f"did you mean '{near}'?"
+    suggestion = nearest(name, names)
+    return f"known are: {', '.join(names)}" if suggestion is None else f"did you mean '{suggestion}'?"
 
 
 def nearest(name: str, known: Iterable[str], alike: float = 0.6) -> str | None:
-    """Return the one of *known* that is nearest to *name*; None where none is *alike*, 1 for the same letters."""
+    """Return the name in *known* that is nearest to *name*; None if the similarity of all is below *alike* (of 1)."""
     folded = {n.lower().replace("-", "_"): n for n in known}
-    near = difflib.get_close_matches(name.lower().replace("-", "_"), folded, n=1, cutoff=alike)
-    return folded[near[0]] if near else None
+    matches = difflib.get_close_matches(name.lower().replace("-", "_"), folded, n=1, cutoff=alike)
+    return folded[matches[0]] if matches else None

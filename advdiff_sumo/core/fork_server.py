@@ -1,8 +1,8 @@
-"""Worker processes whose exit codes may be asked for by several threads; for systems that have a fork server.
+"""Worker processes whose exit codes several threads may read, on systems that have a fork server.
 
-The fork server sends an exit code once. Where two threads ask for it at the same time, Python's own class lets the
-second one find nothing, and calls that exit code 255: a crash then passes for an end that the process chose. Where the
-fork server itself has died, nobody sends anything, and the same class says 255 of each of its processes.
+The fork server sends an exit code once. If two threads read it at the same time, the second one finds nothing, and
+Python's own class reports exit code 255. A crash then looks like a regular exit. If the fork server itself has died, no
+exit code is sent, and the same class reports 255 for each of its processes.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from advdiff_sumo.core.process_end import UNSEEN
 
 
 class _SharedPopen(Popen):
-    """A process that one thread at a time asks for its exit code."""
+    """A process whose exit code is read by one thread at a time."""
 
     def __init__(self, process: Any) -> None:
-        self._asking = threading.Lock()
+        self._read_lock = threading.Lock()
         super().__init__(process)
 
     def poll(self, flag: int = os.WNOHANG) -> int | None:
-        """Return the exit code, negative for a signal; None while it runs and *flag* says not to wait.
+        """Return the exit code, negative for a signal; None while the process runs and *flag* says not to wait.
 
-        ``UNSEEN`` where the fork server died first; a process that still runs then is to be given up.
+        ``UNSEEN`` if the fork server died first; a process that still runs then must be abandoned.
         """
         if self.returncode is None and not wait([self.sentinel], 0 if flag == os.WNOHANG else None):
             return None
-        with self._asking:
+        with self._read_lock:
             if self.returncode is None:
                 try:
                     self.returncode = read_signed(self.sentinel)
@@ -50,6 +50,6 @@ class SharedProcess(ForkServerProcess):
 
 
 class SharedContext(ForkServerContext):
-    """Makes such processes; otherwise as ``multiprocessing.get_context("forkserver")``."""
+    """Context that makes such processes, otherwise as ``multiprocessing.get_context("forkserver")``."""
 
     Process = SharedProcess

@@ -1,4 +1,4 @@
-"""Angles, rigid transforms, and the one place that knows SUMO's conventions.
+"""Angles, rigid transforms, and conversions between SUMO's conventions and those of this package.
 
 Ours: yaw in radians counter-clockwise from east, pose at the centre of the box.
 SUMO's: angle in degrees clockwise from north, position at the centre of the front bumper.
@@ -17,7 +17,7 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
 
 
 def wrapped(angle_rad: FloatArray) -> FloatArray:
-    """Return :func:`wrap_angle` of numbers of numpy, single ones as such: sums of them cost less than of arrays."""
+    """Return :func:`wrap_angle` of NumPy arrays or scalars; scalars stay scalars, which are faster than 0-d arrays."""
     return -((-angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
 
 

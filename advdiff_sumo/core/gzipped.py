@@ -1,4 +1,4 @@
-"""Files that may be gzipped, whatever their names say."""
+"""Open files that may be gzipped, whatever their names are."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pathlib import Path
 
 GZIP = b"\x1f\x8b"
 DAMAGED_GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
-"""What reading from :func:`unpacked` raises where the data are cut off or damaged; the last one is an OSError, too."""
+"""Exceptions from reading :func:`unpacked` if the data are truncated or damaged; the last one is also an OSError."""
 GZIP_PROBLEM, GZIP_REMEDY = "the gzip data are cut off or damaged", "copy or make the file anew"
 
 
 def unpacked(path: Path) -> gzip.GzipFile | BufferedReader:
-    """Open *path* for reading what it holds, unpacked where it is gzipped.
+    """Open *path* for reading its content, unpacked if it is gzipped.
 
     Raises:
         OSError: the file cannot be opened.
     """
     with path.open("rb") as file:
-        zipped = file.read(len(GZIP)) == GZIP
-    return gzip.open(path) if zipped else path.open("rb")
+        is_gzipped = file.read(len(GZIP)) == GZIP
+    return gzip.open(path) if is_gzipped else path.open("rb")

@@ -1,4 +1,4 @@
-"""Whether what a policy returned is a plan of vehicles: names, classes, sizes, interval, numbers, and no jumps."""
+"""Check the form and the values of a policy's plan: names, classes, sizes, interval, numbers, and no jumps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 
 
 def joint_form_problem(plan: JointPlan) -> str:
-    """Return what is wrong with the form of *plan*, as the object of "it planned"; "" where nothing is."""
+    """Return the problem with the form of *plan*, as the object of "it planned"; "" if there is none."""
     tracks: Any = plan.tracks
     if not isinstance(tracks, Tracks):
         return f"tracks of type {type(tracks).__name__}, not Tracks"
@@ -29,32 +29,33 @@ def joint_form_problem(plan: JointPlan) -> str:
 
 
 def joint_values_problem(plan: JointPlan) -> str:
-    """Return the same of the values of *plan*, whose form is right: a number that is none, a jump, or too fast."""
+    """Return the problem with the values of *plan*, whose form is valid: not a number, a jump, or too fast."""
     tracks = plan.tracks
     finite = np.isfinite(tracks.xy_m).all(-1) & np.isfinite(tracks.yaw_rad) & np.isfinite(tracks.speed_mps)
     if (tracks.valid & ~finite).any():
         return _first(tracks.valid & ~finite, tracks.ids, "a value that is not a number")
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    valid_steps = tracks.valid[:, 1:] & tracks.valid[:, :-1]
     bound = farthest_m(tracks.dt_s)
-    jumps = both & (np.linalg.norm(np.diff(tracks.xy_m, axis=1), axis=-1) > bound)
+    jumps = valid_steps & (np.linalg.norm(np.diff(tracks.xy_m, axis=1), axis=-1) > bound)
     too_fast = tracks.valid & (np.abs(tracks.speed_mps) > MAX_SPEED_MPS)
     jump = _first(jumps, tracks.ids, f"a jump of more than {bound:.1f} m in {tracks.dt_s:g} s")
     return jump or _first(too_fast, tracks.ids, f"a speed beyond {MAX_SPEED_MPS:g} m/s")
 
 
 def starts_too_far(plan: JointPlan, xy_m: FloatArray) -> BoolArray:
-    """Return (A,) whose first step is out of reach from *xy_m* (A, 2), NaN for those not there yet."""
+    """Return (A,) whether the first step from *xy_m* (A, 2) is a jump; *xy_m* is NaN for vehicles not yet present."""
     tracks = plan.tracks
-    first = np.linalg.norm(tracks.xy_m[:, 0] - xy_m, axis=-1) if tracks.steps else np.zeros(tracks.agents)
-    return np.asarray(first > farthest_m(tracks.dt_s))  # NaN compares as False
+    move = np.linalg.norm(tracks.xy_m[:, 0] - xy_m, axis=-1) if tracks.steps else np.zeros(tracks.agents)
+    return np.asarray(move > farthest_m(tracks.dt_s))  # NaN compares as False
 
 
 def farthest_m(dt_s: float) -> float:
-    """Return how far any vehicle may get in *dt_s*."""
+    """Return the greatest distance that a vehicle may move in *dt_s*."""
     return MAX_SPEED_MPS * dt_s + SLACK_M
 
 
 def _first(wrong: BoolArray, ids: tuple[str, ...], what: str) -> str:
+    """Return *what* with the first vehicle and step of *wrong* (A, T); "" if none is True."""
     if not wrong.any():
         return ""
     row, step = np.argwhere(wrong)[0]

@@ -1,7 +1,7 @@
-"""Where vehicles are, which way they look and how fast they are: what futures and plans consist of in NumPy.
+"""Positions, headings and speeds of vehicles as NumPy arrays, of which futures and plans consist.
 
-In tensors that is :class:`~advdiff_sumo.models.decoder.Rollout`. :class:`~advdiff_sumo.core.scene.Tracks` have names,
-sizes and gaps, too.
+The counterpart in tensors is :class:`~advdiff_sumo.models.decoder.Rollout`. :class:`~advdiff_sumo.core.scene.Tracks`
+also have names, sizes and gaps.
 """
 
 from __future__ import annotations
@@ -31,6 +31,6 @@ class KinematicStates:
     speed_mps: FloatArray
 
     def mapped(self, change: Callable[[FloatArray], FloatArray]) -> Self:
-        """Return the same with each of the three arrays as *change* makes it."""
+        """Return the states with *change* applied to each of the three arrays."""
         xy, yaw, speed = map(change, (self.xy_m, self.yaw_rad, self.speed_mps))
         return replace(self, xy_m=xy, yaw_rad=yaw, speed_mps=speed)

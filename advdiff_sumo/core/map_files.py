@@ -1,4 +1,4 @@
-"""Read the text of a file of a map or scenario, JSON or XML, gzipped or not, of bounded size."""
+"""Read a map or scenario file, in JSON or XML, gzipped or not, of bounded size."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_FILE_BYTES = 600_000_000  # the largest genuine file has about a tenth of th
 
 
 def load_json(path: Path, remedy: str) -> Any:
-    """Return what the JSON text in *path* holds; *remedy* tells what to give instead.
+    """Return the content of the JSON file *path*; the error's *remedy* says what to provide instead.
 
     Raises:
         MapError: the file cannot be read, is too large, or is no JSON text.

@@ -1,4 +1,4 @@
-"""How much of the map learned models see, as maps, windows and networks agree on it."""
+"""Sizes of the map extract that learned models perceive; maps, windows and networks use the same ones."""
 
 from __future__ import annotations
 
@@ -7,4 +7,5 @@ from typing import Literal, TypeAlias
 
 MapView: TypeAlias = Literal["near", "far"]
 MAP_PIECES: Mapping[MapView, tuple[int, int]] = {"near": (28, 12), "far": (44, 20)}
-"""Lane pieces and pieces of road edges that an agent sees at most: 60 m around it, and all that is driven in 6 s."""
+"""Greatest number of lane pieces and of road-edge pieces per agent: "near" covers 60 m around it, "far" all it can
+reach in 6 s."""

@@ -1,4 +1,4 @@
-"""What planners and policies return."""
+"""Plans of planners and policies."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.scene import Tracks
 
 MAX_SPEED_MPS = 90.0
-"""No plan drives faster."""
+"""Greatest speed of a plan."""
 SLACK_M = 0.5
-"""How much farther than that speed allows a plan may move somebody in a step: the noise of annotated logs."""
+"""A plan may move a vehicle this much farther per step than that speed allows, because annotated logs are noisy."""
 
 
 @dataclass(frozen=True)
 class Trajectory(KinematicStates):
-    """Where the vehicle should be; a tracking controller drives it there through the bicycle model.
+    """Planned states of the vehicle; a tracking controller follows them with the bicycle model.
 
     Attributes:
         xy_m: (T, 2) box centres at now + dt, now + 2 dt, …
         yaw_rad: (T,) headings.
         speed_mps: (T,) speeds.
-        dt_s: spacing.
+        dt_s: spacing of the states.
     """
 
     dt_s: float
@@ -37,7 +37,7 @@ class Controls:
     Attributes:
         accel_mps2: (T,) longitudinal acceleration.
         steer_rad: (T,) front-wheel angle, left positive.
-        dt_s: how long each holds.
+        dt_s: time for which each is held.
     """
 
     accel_mps2: FloatArray
@@ -50,12 +50,12 @@ Plan: TypeAlias = Trajectory | Controls
 
 @dataclass(frozen=True)
 class AttackState:
-    """What a policy that attacks the target was asked for, and who can do it now.
+    """The kind of attack requested of a policy, and the vehicles that can carry it out now.
 
     Attributes:
-        kind: of attack; "any": whichever.
+        kind: kind of attack; "any" for all kinds.
         in_position: ids of the vehicles that are in a position for it.
-        manoeuvres: id → what it does against the target now; None where the policy does not tell.
+        manoeuvres: id → its present manoeuvre against the target; None if the policy does not report it.
     """
 
     kind: str
@@ -70,10 +70,10 @@ class JointPlan:
     Attributes:
         tracks: (A, T) states, first instant one ``dt_s`` after now. A vehicle not in the scene yet is
             inserted when it becomes valid; one that becomes invalid leaves.
-        exact: poses are applied as they are (logs); otherwise through the bicycle model.
-        attack: who can attack; None where the policy attacks nobody, or has not looked anew.
-        routes: id → edges that a vehicle which is inserted is going to drive; without it they are guessed.
-        safeguarded: of how many vehicles a safeguard changed what they drive next, and of how many it looked at.
+        exact: whether poses are applied as they are (logs); otherwise the vehicles follow them with the bicycle model.
+        attack: state of the attack; None if the policy does not attack, or has not updated it.
+        routes: id → edges of the route of a vehicle that is inserted; without an entry they are guessed.
+        safeguarded: number of vehicles whose next motion the safeguard changed, and number that it checked.
     """
 
     tracks: Tracks

@@ -14,16 +14,14 @@ def distinct_names(names: Mapping[Path, str]) -> dict[Path, str]:
     name does not change. Files in one folder get their full file name.
     """
     result = dict(names)
-    for depth in range(1, max((len(path.parts) for path in _with_equal_names(result)), default=0)):
-        for path in _with_equal_names(result):
+    for depth in range(1, max((len(path.parts) for path in _ambiguous(result)), default=0)):
+        for path in _ambiguous(result):
             folders = (part.strip("/") for part in path.parent.parts[-depth:])
             result[path] = "-".join((*filter(None, folders), names[path]))
-    return result | {
-        path: "-".join((*path.parent.parts[-1:], path.name)) for path in _with_equal_names(result)
-    }
+    return result | {path: "-".join((*path.parent.parts[-1:], path.name)) for path in _ambiguous(result)}
 
 
-def _with_equal_names(names: Mapping[Path, str]) -> list[Path]:
+def _ambiguous(names: Mapping[Path, str]) -> list[Path]:
     """Return the files whose name occurs more than once."""
     counts = Counter(names.values())
     return [path for path, name in names.items() if counts[name] > 1]

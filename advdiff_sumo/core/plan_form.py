@@ -1,4 +1,4 @@
-"""Whether what a planner returned is a plan: types, shapes, lengths, interval, and values that a vehicle can have."""
+"""Check the form and the values of a planner's plan: types, shapes, lengths, interval, and possible values."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 
 _MAX_CONTROL_MPS2 = 50.0
+#: Number of dimensions of each array of a plan.
 _DIMENSIONS = {"accel_mps2": 1, "steer_rad": 1, "xy_m": 2, "yaw_rad": 1, "speed_mps": 1}
 
 
 def plan_arrays(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the arrays that *plan* consists of."""
+    """Return the names of the arrays of *plan*."""
     return ("accel_mps2", "steer_rad") if isinstance(plan, Controls) else ("xy_m", "yaw_rad", "speed_mps")
 
 
 def form_problem(plan: Plan, model_step_s: float, replan_every: int = 1) -> str:
-    """Return what is wrong with the form of *plan*, as a sentence; "" where nothing is.
+    """Return the problem with the form of *plan*, as a sentence; "" if there is none.
 
     Args:
-        plan: from a planner; its fields may be anything.
-        model_step_s: spacing of replanning instants.
-        replan_every: of these instants to the next plan, to which this one must last.
+        plan: plan of a planner; its fields may have any type.
+        model_step_s: spacing of the model's instants.
+        replan_every: number of these steps until the next plan; this one must last as long.
     """
     arrays: dict[str, Any] = {name: getattr(plan, name) for name in plan_arrays(plan)}
     for name, array in arrays.items():
@@ -43,18 +44,21 @@ def form_problem(plan: Plan, model_step_s: float, replan_every: int = 1) -> str:
     return _length_problem(steps * plan.dt_s, model_step_s, replan_every)
 
 
-def _length_problem(lasts_s: float, model_step_s: float, replan_every: int) -> str:
+def _length_problem(duration_s: float, model_step_s: float, replan_every: int) -> str:
     next_s = model_step_s * replan_every
-    if lasts_s >= next_s - 1e-9:
+    if duration_s >= next_s - 1e-9:
         return ""
     if replan_every == 1:
-        return f"it lasts {lasts_s:g} s, less than one model step of {model_step_s:g} s, the time to the next plan"
+        return f"it lasts {duration_s:g} s, less than one model step of {model_step_s:g} s, the time to the next plan"
     steps = f"sim.replan_every = {replan_every} model steps of {model_step_s:g} s"
-    return f"it lasts {lasts_s:g} s, less than the {next_s:g} s to the next plan ({steps})"
+    return f"it lasts {duration_s:g} s, less than the {next_s:g} s to the next plan ({steps})"
 
 
 def values_problem(plan: Plan) -> str:
-    """Return what is wrong with the values of *plan*, whose form is right, wherever the vehicle is; "" for nothing."""
+    """Return the problem with the values of *plan*, whose form is valid; "" if there is none.
+
+    The position of the vehicle is not considered.
+    """
     finite = all(np.isfinite(getattr(plan, name)).all() for name in plan_arrays(plan))
     if not isinstance(plan, Controls):
         return "" if finite else "a trajectory that holds values that are not numbers"
@@ -68,9 +72,9 @@ def values_problem(plan: Plan) -> str:
 
 
 def can_be_driven(plan: object, least_s: float) -> bool:
-    """Return whether *plan* is one, of right form and values, and lasts *least_s*.
+    """Return whether *plan* is a plan of valid form and values that lasts at least *least_s*.
 
-    Whether it jumps is for who knows the place.
+    It may still begin with a jump, which only the vehicle's position can show.
     """
     if not isinstance(plan, Controls | Trajectory):
         return False
@@ -78,7 +82,7 @@ def can_be_driven(plan: object, least_s: float) -> bool:
 
 
 def in_float64(plan: Plan) -> Plan:
-    """Return *plan*, whose form is right, in float64: what float32 or integers say is taken as it is."""
+    """Return *plan*, whose form is valid, with its arrays converted to float64."""
     arrays = {name: getattr(plan, name) for name in plan_arrays(plan)}
     if all(array.dtype == np.float64 for array in arrays.values()):
         return plan
@@ -86,7 +90,7 @@ def in_float64(plan: Plan) -> Plan:
 
 
 def interval_problem(dt_s: Any) -> str:
-    """Return what is wrong with an interval between instants, as in :func:`form_problem`."""
+    """Return the problem with an interval between instants, as in :func:`form_problem`."""
     if isinstance(dt_s, bool) or not isinstance(dt_s, int | float | np.integer | np.floating):
         return f"is of type {type(dt_s).__name__}, not a number of seconds"
     if not (math.isfinite(dt_s) and dt_s > 0.0):
@@ -95,11 +99,11 @@ def interval_problem(dt_s: Any) -> str:
 
 
 def _largest(values: FloatArray) -> float:
-    return float(np.abs(values.astype(np.float64)).max())  # int8 has no 128
+    return float(np.abs(values.astype(np.float64)).max())  # in int8 the absolute value of -128 overflows
 
 
 def _array_problem(array: Any, dimensions: int) -> str:
-    if type(array) is not np.ndarray:  # a subclass may mask or change what is looked at
+    if type(array) is not np.ndarray:  # a subclass may mask or change values
         return f"is of type {type(array).__name__}, not a NumPy array"
     if not (np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)):
         return f"holds {array.dtype}, not numbers"

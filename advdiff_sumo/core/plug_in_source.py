@@ -1,4 +1,4 @@
-"""File and line of a planner's or policy's own code, for messages about what it did wrong."""
+"""Find the file and line of a planner's or policy's own code, for error messages."""
 
 from __future__ import annotations
 
@@ -14,68 +14,73 @@ from functools import cache
 from pathlib import Path
 from types import CodeType
 
-_OURS = str(Path(__file__).parents[1])
+_OUR_PACKAGE = str(Path(__file__).parents[1])
+#: A call in the output of Python's fault handler.
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
 _INSTALLED = {"site-packages", "dist-packages"}
+#: Prefixes of plug-in names that denote a server, not a module.
 _SERVERS = ("exec", "grpc")
 
 
 def described(error: BaseException) -> str:
-    """Return the type of *error* and what it says, in one line."""
+    """Return the type and the text of *error* in one line."""
     return f"{type(error).__name__}{message_of(error)}"
 
 
 def message_of(error: BaseException) -> str:
-    """Return ": " and what *error* says, in one line; "" where it says nothing, as Python's MemoryError does."""
+    """Return ": " and the text of *error* in one line; "" if it has none, as Python's MemoryError."""
     try:
-        words = " ".join(str(error).split())
-    except Exception:  # noqa: BLE001 - an exception of a plug-in's own may be broken, too
-        words = ""
-    return f": {words}" if words else ""
+        text = " ".join(str(error).split())
+    except Exception:  # noqa: BLE001 - a plug-in's own exception class may be broken
+        text = ""
+    return f": {text}" if text else ""
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Return whether *error* says that memory ran out, as Python, NumPy or PyTorch say it.
+    """Return whether *error* means that memory ran out, in Python, NumPy or PyTorch.
 
-    PyTorch raises a plain RuntimeError on the CPU, and one of its own, OutOfMemoryError, on a GPU.
+    PyTorch raises a RuntimeError on the CPU, and its own OutOfMemoryError on a GPU.
     """
     if isinstance(error, MemoryError):
         return True
-    own = type(error).__name__ == "OutOfMemoryError"
-    return isinstance(error, RuntimeError) and (own or "can't allocate memory" in described(error))
+    is_from_gpu = type(error).__name__ == "OutOfMemoryError"
+    return isinstance(error, RuntimeError) and (is_from_gpu or "can't allocate memory" in described(error))
 
 
 def raised_at(error: BaseException, plug_in: object) -> str:
-    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" where there is none.
+    """Return " (FILE, line N, FUNCTION)" of the innermost call in the plug-in's own code; "" if there is none.
 
-    One of our wrappers around a planner or policy is looked through, here and in :func:`planned_at`.
+    If the plug-in is a wrapper of this package, the wrapped planner or policy counts, as in :func:`planned_at`.
     """
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not _is_library(frame.filename)]
-    if not own:  # installed beside other libraries, or one of ours
+    own_frames = [frame for frame in frames if not _is_library(frame.filename)]
+    if not own_frames:  # the plug-in is installed as a library, or part of this package
         source = _source_of(type(_unwrapped(plug_in)))
-        own = [frame for frame in frames if frame.filename == source]
-    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno}, {own[-1].name})" if own else ""
+        own_frames = [frame for frame in frames if frame.filename == source]
+    if not own_frames:
+        return ""
+    innermost = own_frames[-1]
+    return f" ({Path(innermost.filename).name}, line {innermost.lineno}, {innermost.name})"
 
 
 def planned_at(plug_in: object) -> str:
-    """Return " (FILE, line N, plan)" of the method that plans; "" for one of ours."""
+    """Return " (FILE, line N, plan)" of the method that plans; "" for a plug-in of this package."""
     code = _code_of_plan(_unwrapped(plug_in))
-    if code is None or code.co_filename.startswith(_OURS):
+    if code is None or code.co_filename.startswith(_OUR_PACKAGE):
         return ""
     return f" ({Path(code.co_filename).name}, line {code.co_firstlineno}, plan)"
 
 
 def crashed_at(stack: str) -> str:
-    """Return the same of the stack that Python's fault handler wrote, its innermost call first."""
+    """Return " (FILE, line N, FUNCTION)" from a stack of Python's fault handler, whose innermost call is the first."""
     calls = ((file, line, name) for file, line, name in _CALL.findall(stack) if not _is_library(file))
     return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
 
 
 def code_digests(names: Iterable[str]) -> dict[str, str]:
-    """Return "package.module:Class" → digest of the file of that module, for each of *names* that has one.
+    """Return "package.module:Class" → digest of the module's file, for each of *names* that has such a file.
 
-    Modules that it imports in turn are not looked at; built-ins and servers have no such file.
+    Built-ins and servers have none. Modules that the file imports are not included.
     """
     files = {name: _file_of(name.partition(":")[0]) for name in sorted(set(names)) if ":" in name}
     return {name: hashlib.sha256(file.read_bytes()).hexdigest()[:16] for name, file in files.items() if file}
@@ -86,18 +91,18 @@ def _file_of(module: str) -> Path | None:
         return None
     loaded = sys.modules.get(module)
     try:
-        found = None if loaded else importlib.util.find_spec(module)
+        spec = None if loaded else importlib.util.find_spec(module)
     except (ImportError, ValueError, AttributeError):
         return None
-    name = getattr(loaded, "__file__", None) or (found and found.origin)
+    name = getattr(loaded, "__file__", None) or (spec and spec.origin)
     return Path(name) if name and Path(name).is_file() else None
 
 
 def _unwrapped(plug_in: object) -> object:
-    """Return what is in wrappers of ours, such as a planner with defects: their attribute ``planner`` or ``policy``."""
+    """Return the planner or policy in wrappers of this package: their attribute ``planner`` or ``policy``."""
     code = _code_of_plan(plug_in)
     inner = getattr(plug_in, "planner", getattr(plug_in, "policy", None))
-    if inner is None or code is None or not code.co_filename.startswith(_OURS):
+    if inner is None or code is None or not code.co_filename.startswith(_OUR_PACKAGE):
         return plug_in
     return _unwrapped(inner)
 
@@ -113,9 +118,9 @@ def _standard_library() -> str:
 
 
 def _is_library(filename: str) -> bool:
-    return filename.startswith((_OURS, _standard_library(), "<")) or not _INSTALLED.isdisjoint(
-        Path(filename).parts
-    )
+    """Return whether a file belongs to this package, the standard library or an installed package."""
+    is_installed = not _INSTALLED.isdisjoint(Path(filename).parts)
+    return is_installed or filename.startswith((_OUR_PACKAGE, _standard_library(), "<"))
 
 
 def _source_of(kind: type) -> str:

@@ -1,9 +1,10 @@
-"""Polylines with arc length: projection, interpolation, cutting, joining and shifting, for whole arrays.
+"""Polylines with arc length: projection, interpolation, cutting, joining and shifting, for arrays.
 
-Frenet convention everywhere: ``s`` is the distance along the line in metres, ``d`` the signed distance to the
-left of it. One rule for odd input: a line needs two distinct finite points (ValueError otherwise); repeated
-points are dropped; queries outside [0, length] are clamped to the ends unless ``extrapolate`` is set; NaN
-queries give NaN; empty query arrays give empty arrays.
+Frenet coordinates: ``s`` is the distance along the line in metres, ``d`` the signed distance to its left.
+
+Special inputs: a line needs two distinct finite points (ValueError otherwise); repeated points are dropped. Queries
+outside [0, length] are clamped to the ends unless ``extrapolate`` is set. NaN queries give NaN. Empty query arrays give
+empty arrays.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from advdiff_sumo.core.frames import wrap_angle
 SAME_POINT_M = 1e-9
 """Consecutive points nearer than this are one point."""
 
+#: Greatest shift of a mitred corner, as a multiple of the line's shift.
 _MITRE_LIMIT = 2.0
 
 
@@ -54,9 +56,9 @@ class Polyline:
         points = without_repeats(points)
         if len(points) < 2:
             raise ValueError("a polyline needs two distinct points")
-        step = points[1:] - points[:-1]
-        steps = np.hypot(step[:, 0], step[:, 1])
-        return Polyline(points, np.concatenate(([0.0], np.cumsum(steps))))
+        delta = points[1:] - points[:-1]
+        lengths = np.hypot(delta[:, 0], delta[:, 1])
+        return Polyline(points, np.concatenate(([0.0], np.cumsum(lengths))))
 
     @property
     def length_m(self) -> float:
@@ -76,10 +78,10 @@ class Polyline:
 
     @cached_property
     def curvature_1pm(self) -> FloatArray:
-        """(P,) curvature at the points, left positive: turn by mean segment length; 0 at the ends."""
+        """(P,) curvature at the points, left positive: turn divided by mean segment length; 0 at the ends."""
         turn = wrap_angle(np.diff(self.segment_yaw_rad))
-        steps = np.diff(self.s_m)
-        return read_only(np.concatenate(([0.0], 2.0 * turn / (steps[:-1] + steps[1:]), [0.0])))
+        lengths = np.diff(self.s_m)
+        return read_only(np.concatenate(([0.0], 2.0 * turn / (lengths[:-1] + lengths[1:]), [0.0])))
 
     def segment_at(self, s_m: FloatArray | float) -> IntArray:
         """Return the index (…,) of the segment at *s_m*; at a point, the segment that begins there."""
@@ -92,9 +94,9 @@ class Polyline:
         """Return points (…, 2) and headings (…,) at *s_m*, *d_m* to the left.
 
         Args:
-            s_m: (…,) arc lengths, clamped to the line unless *extrapolate* (then the end segments go on).
+            s_m: (…,) arc lengths, clamped to the line unless *extrapolate*.
             d_m: (…,) offsets to the left.
-            extrapolate: whether to leave the ends along the end segments.
+            extrapolate: whether the end segments are extended beyond the ends.
         """
         s, d = np.broadcast_arrays(np.asarray(s_m, dtype=np.float64), np.asarray(d_m, dtype=np.float64))
         if not extrapolate:
@@ -110,31 +112,33 @@ class Polyline:
         """Return arc lengths (…,) and signed distances (…,), left positive, of points *xy_m* (…, 2).
 
         Beyond an end, ``s`` is clamped and ``|d|`` is the distance to the end point; with *extrapolate* the
-        end segments go on for ever instead. At a bend, all points of the outer wedge project to the corner.
+        end segments are infinite instead. At a bend, all points of the outer wedge project to the corner.
         """
         points = np.asarray(xy_m, dtype=np.float64)
         delta = points[..., None, :] - self.xy_m[:-1]  # (…, P-1, 2)
-        steps = np.diff(self.s_m)
+        lengths = np.diff(self.s_m)
         along = delta[..., 0] * self.tangents[:, 0] + delta[..., 1] * self.tangents[:, 1]
-        low, high = np.zeros_like(steps), steps.copy()
+        low, high = np.zeros_like(lengths), lengths.copy()
         if extrapolate:
             low[0], high[-1] = -np.inf, np.inf
         along = np.clip(along, low, high)
-        apart = delta - along[..., None] * self.tangents
-        squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
-        nearest = np.argmin(squared, axis=-1)[..., None]  # NaN rows give 0, and NaN below
+        offsets = delta - along[..., None] * self.tangents  # (…, P-1, 2) from each segment's nearest point
+        squared = offsets[..., 0] ** 2 + offsets[..., 1] ** 2
+        nearest = np.argmin(squared, axis=-1)[..., None]  # NaN rows give 0 here and NaN below
         tangent = self.tangents[nearest[..., 0]]
-        offset = np.take_along_axis(apart, nearest[..., None], axis=-2)[..., 0, :]
+        offset = np.take_along_axis(offsets, nearest[..., None], axis=-2)[..., 0, :]
         cross = tangent[..., 0] * offset[..., 1] - tangent[..., 1] * offset[..., 0]
         s = self.s_m[nearest[..., 0]] + np.take_along_axis(along, nearest, axis=-1)[..., 0]
         return s, np.copysign(np.hypot(offset[..., 0], offset[..., 1]), cross)
 
     def resample(self, *, spacing_m: float | None = None, count: int | None = None) -> Polyline:
-        """Return the line through evenly spaced points of this one, both ends kept.
+        """Return the line through evenly spaced points of this one, both ends included.
+
+        Give exactly one of the arguments.
 
         Args:
-            spacing_m: the largest spacing; the true one divides the length evenly.
-            count: the number of points, at least 2. Give exactly one of the two.
+            spacing_m: the largest spacing; the actual one divides the length evenly.
+            count: the number of points, at least 2.
         """
         if (spacing_m is None) == (count is None):
             raise ValueError("give spacing_m or count, one of the two")
@@ -162,7 +166,7 @@ class Polyline:
         return Polyline.of(np.vstack((ends[:1], inside, ends[1:])))
 
     def offset(self, d_m: float) -> Polyline:
-        """Return the line shifted *d_m* to the left, corners mitred (by at most twice the shift).
+        """Return the line shifted *d_m* to the left; corners are mitred and shift by at most twice as much.
 
         Where the line bends more tightly than *d_m*, the shifted line folds; use shapely for areas.
         """
@@ -175,7 +179,7 @@ class Polyline:
 
 
 def concatenate(lines: Sequence[Polyline]) -> Polyline:
-    """Return *lines* joined end to start; a gap becomes a straight segment. ValueError for none."""
+    """Return *lines* joined end to start; a gap becomes a straight segment. ValueError if *lines* is empty."""
     if not lines:
         raise ValueError("no polylines to join")
     return Polyline.of(np.vstack([line.xy_m for line in lines]))
@@ -192,15 +196,15 @@ def line_length_m(xy_m: FloatArray) -> float:
 
 
 def without_repeats(xy_m: FloatArray) -> FloatArray:
-    """Return the points (N, 2) without those that repeat the one before."""
+    """Return the points (N, 2) without those that repeat the previous one."""
     return xy_m[kept_points(xy_m)]
 
 
 def kept_points(xy_m: FloatArray) -> BoolArray:
-    """Return (N,) which points to keep so that no kept one repeats the kept one before."""
+    """Return (N,) which points to keep so that none repeats the previous one that is kept."""
     keep = np.ones(len(xy_m), dtype=np.bool_)
-    step = xy_m[1:] - xy_m[:-1]
-    while (repeats := np.hypot(step[:, 0], step[:, 1]) <= SAME_POINT_M).any():
+    delta = xy_m[1:] - xy_m[:-1]
+    while (repeats := np.hypot(delta[:, 0], delta[:, 1]) <= SAME_POINT_M).any():
         keep[np.flatnonzero(keep)[1:][repeats]] = False
-        step = np.diff(xy_m[keep], axis=0)
+        delta = np.diff(xy_m[keep], axis=0)
     return keep

@@ -1,4 +1,4 @@
-"""What an episode leaves behind: enough for every metric, report and export."""
+"""The record of an episode, from which all metrics, reports and exports are made."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from advdiff_sumo.core.scene import Tracks
 
 
 class Controller(IntEnum):
-    """Who moved an agent in a step; REPLAYED follows its driving log, as neither SUMO nor a policy drives it."""
+    """What moved an agent in a step; REPLAYED: it followed its driving log, moved neither by SUMO nor by a policy."""
 
     ABSENT = -1
     SUMO = 0
@@ -32,14 +32,14 @@ class EndReason(StrEnum):
 
 @dataclass(frozen=True)
 class SumoCollision:
-    """One line of SUMO's own collision list.
+    """One entry of SUMO's own collision list.
 
     Attributes:
         step: index of the instant in the record.
         collider: id of the vehicle that SUMO says ran into the other.
         victim: id of the other.
-        kind: SUMO's word, such as "collision" or "junction".
-        lane_id: where.
+        kind: SUMO's type of collision, such as "collision" or "junction".
+        lane_id: id of the lane.
     """
 
     step: int
@@ -54,10 +54,10 @@ class Failure:
     """Why an episode could not be finished.
 
     Attributes:
-        kind: word of the error class, such as "plan_refused".
+        kind: ``kind`` of the error class, such as "plan_refused".
         message: one sentence.
-        time_s: when, since the episode's start.
-        trace: where the planner or policy raised, as Python tells it; "" where it did not.
+        time_s: time since the episode's start.
+        trace: Python's traceback, if the planner or policy raised; else "".
     """
 
     kind: str
@@ -68,13 +68,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class MadePlans:
-    """What the target and vehicles near it meant to do at one instant; A agents, T instants.
+    """Plans of the target and of vehicles near it, made at one instant; A agents, T instants.
 
     Attributes:
-        made_s: when they were made, since the episode's start.
-        dt_s: spacing of the instants, the first of which is one of them after ``made_s``.
+        made_s: time at which they were made, since the episode's start.
+        dt_s: spacing of the instants; the first one is at ``made_s`` + ``dt_s``.
         ids: A names.
-        xy_m: (A, T, 2) planned box centres; NaN where a plan does not reach or has nobody there.
+        xy_m: (A, T, 2) planned box centres; NaN beyond the end of a plan and where the agent is absent.
     """
 
     made_s: float
@@ -89,7 +89,7 @@ class EpisodeRecord:
 
     Attributes:
         episode: number of the episode in its run.
-        seed: the seed of SUMO in the simulation that its seed scene was taken from.
+        seed: SUMO's seed in the simulation from which the seed scene was taken.
         scene: name of the seed scene.
         tracks: (A, T) states.
         target: row of the tested vehicle.
@@ -97,22 +97,22 @@ class EpisodeRecord:
         route: edges of the target's route.
         end: why it ended.
         visible: T sets of ids that a SUMO-driven target's model perceived (leader, foe, neighbour);
-            None when a Python planner drove, which sees everything.
+            None if a Python planner drove, which perceives everything.
         signals: T mappings, traffic light → state string.
-        sumo_collisions: SUMO's own list.
-        teleports: vehicles that SUMO teleported.
-        rough_handovers: vehicles that SUMO got back although they stood askew in their lane.
-        skipped_agents: agents of a log left to SUMO, which had them out of reach of where the log goes on.
-        refused_insertions: moved vehicles that SUMO would not take in; they leave the scene once nobody moves them.
-        attack: kind of attack that the background was asked for; None where it attacks nobody.
-        in_position: whether somebody was in a position for that attack at some time; None without one.
-        manoeuvres: id → what it did against the target last, and when it was last at it, s; None where nobody told.
-        implausible: plans of the target that ask for what no vehicle can do, and what the first of them does.
-        safeguarded: plans of a vehicle of which a safeguard changed what was driven next, and all it looked at.
-        plans: what was planned, in the order of time; of a SUMO-driven vehicle nothing is known.
-        natural: what everybody near did from the same start without attack, at the model step; None when it
-            was not to be kept.
-        failure: set when ``end`` is FAILED.
+        sumo_collisions: SUMO's own collision list.
+        teleports: number of vehicles that SUMO teleported.
+        rough_handovers: number of vehicles handed back to SUMO although they were not aligned with their lane.
+        skipped_agents: number of agents of a log left to SUMO, because their log continues out of reach.
+        refused_insertions: number of moved vehicles that SUMO refused to insert; they leave the scene once they are
+            no longer moved.
+        attack: kind of attack requested of the background; None if it does not attack.
+        in_position: whether a vehicle was in a position for that attack at some time; None without an attack.
+        manoeuvres: id → its last manoeuvre against the target and the time at which it last did it, s; None if unknown.
+        implausible: number of plans of the target that no vehicle can drive, and the problem of the first of them.
+        safeguarded: number of vehicles' plans whose next motion a safeguard changed, and number that it checked.
+        plans: plans in time order; those of SUMO-driven vehicles are unknown.
+        natural: motion of the vehicles near from the same start without attack, at the model step; None if not kept.
+        failure: reason, if ``end`` is FAILED.
     """
 
     episode: int

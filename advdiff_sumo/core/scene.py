@@ -1,4 +1,4 @@
-"""What a planner or a policy sees: agents with histories, and who of them may be moved."""
+"""The scene that planners and policies receive: road users with their histories, and which may be moved."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class AgentClass(IntEnum):
 
 
 MOTOR_CLASSES = (AgentClass.CAR, AgentClass.TRUCK, AgentClass.BUS, AgentClass.MOTORCYCLE)
-"""Motor vehicles: they belong on the drivable area."""
+"""Motor vehicles, which must stay on the drivable area."""
 HEAVY_CLASSES = (AgentClass.TRUCK, AgentClass.BUS)
-"""Vehicles of some tons, which brake less hard than cars."""
+"""Heavy vehicles, which brake less hard than cars."""
 TRACK_ARRAYS = ("classes", "size_m", "xy_m", "yaw_rad", "speed_mps", "valid")
-"""What :class:`Tracks` holds as arrays."""
+"""Names of the array fields of :class:`Tracks`."""
 _STATES = TRACK_ARRAYS[2:]
 
 
@@ -46,7 +46,7 @@ class Tracks:
         xy_m: (A, T, 2) box centres; x east, y north.
         yaw_rad: (A, T) counter-clockwise from east.
         speed_mps: (A, T) signed along the heading.
-        valid: (A, T) whether the agent is there.
+        valid: (A, T) whether the agent is present.
         t0_s: time of the first instant since the episode's start.
         dt_s: spacing of the instants.
     """
@@ -115,12 +115,12 @@ class Tracks:
         return self.at(slice(first, None, stride), self.t0_s + self.dt_s * first, self.dt_s * stride)
 
     def at(self, instants: slice | IntArray, t0_s: float, dt_s: float) -> Tracks:
-        """Return the states at *instants*, indices in [0, T), as of *t0_s* and every *dt_s* from then on."""
+        """Return the states at *instants*, indices in [0, T), with the new *t0_s* and *dt_s*."""
         states = {name: getattr(self, name)[:, instants] for name in _STATES}
         return replace(self, t0_s=t0_s, dt_s=dt_s, **states)
 
     def where(self, mask: BoolArray) -> Tracks:
-        """Return the same tracks, valid only where *mask*, (A, T) or (T,), is True, too."""
+        """Return the same tracks, valid only where *mask*, (A, T) or (T,), is also True."""
         return replace(
             self,
             xy_m=np.where(mask[..., None], self.xy_m, np.nan),
@@ -130,7 +130,7 @@ class Tracks:
         )
 
     def driving(self, plan: KinematicStates, t0_s: float, dt_s: float) -> Tracks:
-        """Return these agents with the states of *plan* (A, T), there at each of its instants."""
+        """Return these agents with the states of *plan* (A, T), all valid."""
         return replace(
             self,
             xy_m=plan.xy_m,
@@ -142,7 +142,7 @@ class Tracks:
         )
 
     def padded(self, before: int, after: int = 0) -> Tracks:
-        """Return these instants with so many *before* and *after* them in which nothing is valid."""
+        """Return the tracks with *before* and *after* instants added in which nothing is valid."""
         pad = ((0, 0), (before, after))
         return replace(
             self,
@@ -158,11 +158,11 @@ class Tracks:
         return replace(self, t0_s=self.t0_s + seconds)
 
     def copied(self) -> Tracks:
-        """Return the same tracks in arrays of their own, for somebody who may write into them."""
+        """Return the same tracks with copies of the arrays, which the receiver may modify."""
         return replace(self, **{name: getattr(self, name).copy(order="K") for name in TRACK_ARRAYS})
 
     def joined(self, other: Tracks) -> Tracks:
-        """Return these agents and those of *other*, which has the same instants."""
+        """Return these agents and those of *other*, which must have the same instants."""
         if (self.steps, self.dt_s, self.t0_s) != (other.steps, other.dt_s, other.t0_s):
             raise ValueError("Tracks of different instants cannot be joined")
         parts = {name: np.concatenate((getattr(self, name), getattr(other, name))) for name in TRACK_ARRAYS}
@@ -192,9 +192,9 @@ class Scene:
         history: (A, H) states at the model step, the last instant is now.
         target: row of the tested vehicle.
         movable: (A,) background vehicles that the policy may move now.
-        routes: A tuples of edge ids, from the agent's present edge on; () where unknown.
-        signals: id of each traffic light → its state string as SUMO writes it.
-        replan_s: time to the target's next plan; 0: one step of the history.
+        routes: A tuples of edge ids, from the agent's present edge on; () if unknown.
+        signals: id of each traffic light → SUMO's state string.
+        replan_s: time until the target's next plan; 0: one step of the history.
     """
 
     history: Tracks
@@ -206,12 +206,12 @@ class Scene:
 
     @property
     def least_plan_s(self) -> float:
-        """How long the target's plan must last at least: to the next one."""
+        """Least duration of the target's plan: the time until the next one."""
         return self.replan_s or self.history.dt_s
 
     @property
     def time_s(self) -> float:
-        """Now, in seconds since the episode's start."""
+        """Present time in seconds since the episode's start."""
         return self.history.t0_s + self.history.dt_s * (self.history.steps - 1)
 
     @property
@@ -220,21 +220,21 @@ class Scene:
         return self.history.ids[self.target]
 
     def copied(self) -> Scene:
-        """Return the same scene for a plug-in, which may write into all that it is given."""
+        """Return a copy of the scene for a plug-in, which may modify its arguments."""
         return replace(
             self, history=self.history.copied(), movable=self.movable.copy(), signals=dict(self.signals)
         )
 
     def without(self, hidden: BoolArray) -> Scene:
-        """Return the scene without the road users of *hidden* (A,); the target always stays."""
-        kept = ~hidden
-        kept[self.target] = True
-        if kept.all():
+        """Return the scene without the road users in *hidden* (A,); the target is never removed."""
+        visible = ~hidden
+        visible[self.target] = True
+        if visible.all():
             return self
         return replace(
             self,
-            history=self.history.rows(kept),
-            target=int(kept[: self.target].sum()),
-            movable=self.movable[kept],
-            routes=tuple(route for route, stays in zip(self.routes, kept.tolist(), strict=True) if stays),
+            history=self.history.rows(visible),
+            target=int(visible[: self.target].sum()),
+            movable=self.movable[visible],
+            routes=tuple(route for route, x in zip(self.routes, visible.tolist(), strict=True) if x),
         )

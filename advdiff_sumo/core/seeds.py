@@ -1,4 +1,4 @@
-"""One seed tree: run → episode → component. Nothing else draws random numbers."""
+"""The seed tree run → episode → component, from which all random generators are made."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SeedTree:
-    """A node of the seed tree; children are named, so that adding one never shifts another.
+    """A node of the seed tree; children are named, so that a new one never changes the seeds of others.
 
     Attributes:
         root: the run's seed.
@@ -25,10 +25,10 @@ class SeedTree:
         return SeedTree(self.root, (*self.path, *(str(n) for n in names)))
 
     def integer(self, bits: int = 31) -> int:
-        """Return this node's number in [0, 2**bits), for consumers that take an integer (SUMO: 31 bits)."""
+        """Return this node's seed in [0, 2**bits), for programs that need an integer (SUMO: 31 bits)."""
         text = "\x1f".join((str(self.root), *self.path)).encode()
         return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") >> (64 - bits)
 
     def generator(self) -> np.random.Generator:
-        """Return a fresh generator of this node."""
+        """Return a new random generator seeded by this node."""
         return np.random.default_rng(self.integer(64))

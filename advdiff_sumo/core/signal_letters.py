@@ -1,7 +1,7 @@
-"""SUMO's letters for what the signal of a link shows, and sets of those that ask the same of a driver.
+"""SUMO's letters for the signal state of a link, and sets of those with the same meaning for a driver.
 
-As in https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html#signal_state_definitions. Sets, not strings: the empty
-letter, of a link without a signal or with one that is not known, is in none of them.
+As in https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html#signal_state_definitions. They are sets, not strings, so
+that the empty letter, of a link without a signal or with an unknown one, is in none of them.
 """
 
 from __future__ import annotations
@@ -9,23 +9,23 @@ from __future__ import annotations
 from typing import Final
 
 PLAIN_RED: Final = "r"
-"""Nobody enters."""
+"""Vehicles must not enter."""
 RED_YELLOW: Final = "u"
-"""Still red, green comes next."""
+"""Still red; green is next."""
 PLAIN_YELLOW: Final = "y"
-"""Red comes next; who goes on gives way as the net says."""
+"""Red is next; a vehicle that enters gives way according to the net."""
 PRIORITY_YELLOW: Final = "Y"
-"""The same, and who goes on has the right of way."""
+"""Red is next; a vehicle that enters has the right of way."""
 YIELDING_GREEN: Final = "g"
-"""Who has it gives way as the net says."""
+"""A vehicle that enters gives way according to the net."""
 PROTECTED_GREEN: Final = "G"
-"""Who has it gives way to nobody."""
+"""A vehicle that enters has the right of way."""
 STOP_THEN_YIELD: Final = "s"
 """Green arrow to the right beside red: stop first, then give way."""
 BLINKING: Final = "o"
-"""Out of order, blinking: who comes gives way as the net says."""
+"""Out of order, blinking: vehicles give way according to the net."""
 SWITCHED_OFF: Final = "O"
-"""Out of order, dark: who comes has the right of way."""
+"""Out of order, dark: a vehicle that enters has the right of way."""
 
 RED: Final = frozenset((PLAIN_RED, RED_YELLOW))
 YELLOW: Final = frozenset((PLAIN_YELLOW, PRIORITY_YELLOW))

@@ -1,4 +1,4 @@
-"""SUMO's vehicle classes and ours."""
+"""Mapping between SUMO's vehicle classes and those of this package."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CLASS_OF_VCLASS = {
     "bicycle": AgentClass.BICYCLE,
     "pedestrian": AgentClass.PEDESTRIAN,
 }
-"""Road users of SUMO's classes; all others are cars."""
+"""Class of road user for each of SUMO's vehicle classes; all others are cars."""
 VCLASS_OF_CLASS = {
     AgentClass.CAR: "passenger",
     AgentClass.TRUCK: "truck",

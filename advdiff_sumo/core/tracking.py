@@ -1,4 +1,4 @@
-"""From plans to states every 0.1 s, through the bicycle model."""
+"""Drive plans with the bicycle model, to states every 0.1 s."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from advdiff_sumo.core.plan import Controls, Trajectory
 
 _CROSS_GAIN = 0.6  # 1/(m s): curvature × speed per metre of lateral error
 _HEADING_GAIN = 2.4  # 1/s: curvature × speed per radian of heading error
-_ALONG_GAIN, _SPEED_GAIN = 1.0, 2.0  # 1/s², 1/s
+_ALONG_GAIN = 1.0  # 1/s²: acceleration per metre of longitudinal error
+_SPEED_GAIN = 2.0  # 1/s: acceleration per m/s of speed error
 
 State = tuple[FloatArray, FloatArray, FloatArray]  # xy (…, 2), yaw (…,), speed (…,)
 
@@ -30,7 +31,10 @@ State = tuple[FloatArray, FloatArray, FloatArray]  # xy (…, 2), yaw (…,), sp
 def drive_plan(
     state: State, plan: Controls | Trajectory, length_m: FloatArray, step_s: float, steps: int, limits: Limits
 ) -> State:
-    """Return (steps, 2), (steps,), (steps,) states of one vehicle under *plan*; see the two functions below."""
+    """Return (steps, 2), (steps,), (steps,) states of one vehicle that drives *plan*.
+
+    Arguments as in :func:`drive_controls`; a trajectory is followed as in :func:`track`.
+    """
     if isinstance(plan, Controls):
         return drive_controls(state, plan, length_m, step_s, steps, limits)
     reference = (plan.xy_m, plan.yaw_rad, plan.speed_mps)
@@ -46,57 +50,57 @@ def drive_controls(
 
     Args:
         state: present centre (2,), yaw () and speed ().
-        controls: held in turn; the last one holds on when they run out.
+        controls: applied one after the other; the last one is held after the end.
         length_m: () vehicle length.
         step_s: spacing of the states.
-        steps: how many.
-        limits: what the vehicle can do.
+        steps: number of states.
+        limits: limits of the vehicle.
 
     Returns:
         (steps, 2), (steps,), (steps,).
     """
-    held = np.minimum(
+    index = np.minimum(
         (np.arange(steps) * step_s / controls.dt_s + 1e-9).astype(np.int64), len(controls.accel_mps2) - 1
     )
-    curvature = np.tan(np.clip(controls.steer_rad[held], -limits.steer_rad, limits.steer_rad)) / wheelbase_m(
-        length_m
-    )
+    steer = np.clip(controls.steer_rad[index], -limits.steer_rad, limits.steer_rad)
+    curvature = np.tan(steer) / wheelbase_m(length_m)
     xy, yaw, speed = state
-    out = []
+    states = []
     for k in range(steps):
-        accel, bend = clip_controls(speed, controls.accel_mps2[held[k]], curvature[k], length_m, limits)
-        xy, yaw, speed = step(xy, yaw, speed, accel, bend, step_s)
-        out.append((xy, yaw, speed))
-    return stacked(out)
+        accel, bounded = clip_controls(speed, controls.accel_mps2[index[k]], curvature[k], length_m, limits)
+        xy, yaw, speed = step(xy, yaw, speed, accel, bounded, step_s)
+        states.append((xy, yaw, speed))
+    return stacked(states)
 
 
 def track(state: State, reference: State, length_m: FloatArray, step_s: float, limits: Limits) -> State:
-    """Follow *reference* as closely as the bicycle model allows.
+    """Return the states of vehicles that follow *reference* as closely as the bicycle model allows.
 
-    Feed-forward of the reference's own acceleration and curvature plus feedback of the pose error, so a
-    reference that a bicycle drove is reproduced exactly and any other one is followed within *limits*.
+    The controls are the reference's own acceleration and curvature (feed-forward) plus feedback of the pose error. A
+    reference that a bicycle drove is reproduced exactly; any other one is followed within *limits*.
 
     Args:
         state: present centres (…, 2), yaws (…,), speeds (…,).
         reference: (…, T, 2), (…, T), (…, T) at now + step, now + 2 steps, …
         length_m: (…,) vehicle lengths.
         step_s: spacing of the reference.
-        limits: what the vehicles can do.
+        limits: limits of the vehicles.
 
     Returns:
         States of the same shape as *reference*.
     """
-    before = _before(state, reference)
+    previous = _shifted(state, reference)
     xy, yaw, speed = (np.empty(part.shape) for part in reference)
-    x, y, *rest = (np.moveaxis(part, -1, 0) for part in (xy[..., 0], xy[..., 1], yaw, speed))
-    given = *_columns(before), *_feed_forward(before, reference, step_s)
+    by_step = [np.moveaxis(part, -1, 0) for part in _columns((xy, yaw, speed))]
+    inputs = *_columns(previous), *_feed_forward(previous, reference, step_s)
     tightest = tightest_curvature_1pm(length_m, limits)[()]
     pose = state[0][..., 0][()], state[0][..., 1][()], state[1][()], state[2][()]
-    for k, (*last, push, turn) in enumerate(zip(*(np.moveaxis(part, -1, 0) for part in given), strict=True)):
-        accel, bend = _controls(pose, last, push, turn)
-        accel, bend = bounded_controls(pose[3], accel, bend, tightest, limits)
-        pose = advance(*pose, accel, bend, step_s)
-        x[k], y[k], rest[0][k], rest[1][k] = pose
+    instants = zip(*(np.moveaxis(part, -1, 0) for part in inputs), strict=True)
+    for k, (*goal, goal_accel, goal_curvature) in enumerate(instants):
+        accel, curvature = _controls(pose, goal, goal_accel, goal_curvature)
+        accel, curvature = bounded_controls(pose[3], accel, curvature, tightest, limits)
+        pose = advance(*pose, accel, curvature, step_s)
+        by_step[0][k], by_step[1][k], by_step[2][k], by_step[3][k] = pose
     return xy, yaw, speed
 
 
@@ -105,8 +109,8 @@ def _columns(state: State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     return state[0][..., 0], state[0][..., 1], state[1], state[2]
 
 
-def _before(state: State, reference: State) -> State:
-    """Return what *reference* is one step before each of its instants: *state* at first."""
+def _shifted(state: State, reference: State) -> State:
+    """Return the states of *reference* one step earlier, with *state* as the first."""
     return (
         np.concatenate((state[0][..., None, :], reference[0][..., :-1, :]), axis=-2),
         np.concatenate((state[1][..., None], reference[1][..., :-1]), axis=-1),
@@ -114,40 +118,40 @@ def _before(state: State, reference: State) -> State:
     )
 
 
-def _feed_forward(last: State, goal: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the accelerations and curvatures (…, T) with which a reference itself gets from *last* to *goal*."""
-    driven = np.maximum(0.5 * (last[2] + goal[2]) * dt_s, 1e-6)
-    bend = np.where(driven > 1e-3, wrap_angle(goal[1] - last[1]) / driven, 0.0)
-    return (goal[2] - last[2]) / dt_s, bend
+def _feed_forward(previous: State, reference: State, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return accelerations and curvatures (…, T) of a reference between its *previous* and its present states."""
+    driven = np.maximum(0.5 * (previous[2] + reference[2]) * dt_s, 1e-6)
+    curvature = np.where(driven > 1e-3, wrap_angle(reference[1] - previous[1]) / driven, 0.0)
+    return (reference[2] - previous[2]) / dt_s, curvature
 
 
 def _controls(
-    pose: Sequence[FloatArray], last: Sequence[FloatArray], push: FloatArray, turn: FloatArray
+    pose: Sequence[FloatArray], goal: Sequence[FloatArray], goal_accel: FloatArray, goal_curvature: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return acceleration and curvature that lead from *pose* towards where the reference goes; all (…,).
+    """Return acceleration and curvature that lead from *pose* towards the reference; all (…,).
 
-    It was to be at *last* by now, and goes on with the acceleration *push* and the curvature *turn*.
+    Poses are x, y, yaw and speed. *goal* is the reference's present pose; *goal_accel* and *goal_curvature* follow it.
     """
     x, y, yaw, speed = pose
     cos, sin = np.cos(yaw), np.sin(yaw)
-    east, north = last[0] - x, last[1] - y
-    along, left = cos * east + sin * north, cos * north - sin * east
-    near = np.minimum(1.0, speed / 2.0)  # a standing vehicle cannot correct sideways
-    pace = np.maximum(speed, 1.0)
-    bend = turn + near * (_CROSS_GAIN * left + _HEADING_GAIN * wrapped(last[2] - yaw)) / pace
-    accel = push + _ALONG_GAIN * along + _SPEED_GAIN * (last[3] - speed)
-    return accel, bend
+    dx, dy = goal[0] - x, goal[1] - y
+    along, left = cos * dx + sin * dy, cos * dy - sin * dx
+    authority = np.minimum(1.0, speed / 2.0)  # a standing vehicle cannot correct laterally
+    least_mps = np.maximum(speed, 1.0)
+    feedback = authority * (_CROSS_GAIN * left + _HEADING_GAIN * wrapped(goal[2] - yaw)) / least_mps
+    accel = goal_accel + _ALONG_GAIN * along + _SPEED_GAIN * (goal[3] - speed)
+    return accel, goal_curvature + feedback
 
 
 def densify(state: State, plan: State, dt_s: float, step_s: float, steps: int) -> State:
-    """Return *plan* at every *step_s*, by cubic Hermite pieces that respect speeds and headings.
+    """Return *plan* at every *step_s*, by cubic Hermite pieces that match speeds and headings.
 
     Args:
-        state: present (…, 2), (…,), (…,), which begins the first piece.
+        state: present (…, 2), (…,), (…,), from which the first piece starts.
         plan: (…, T, 2), (…, T), (…, T) at now + dt, …
         dt_s: spacing of the plan.
-        step_s: spacing wanted.
-        steps: how many; at most T · dt / step.
+        step_s: spacing of the result.
+        steps: number of states; at most T · dt / step.
     """
     xy = np.concatenate((state[0][..., None, :], plan[0]), axis=-2)
     yaw = np.concatenate((state[1][..., None], plan[1]), axis=-1)
@@ -158,20 +162,21 @@ def densify(state: State, plan: State, dt_s: float, step_s: float, steps: int) -
     a, b = xy[..., piece, :], xy[..., piece + 1, :]
     chord = np.linalg.norm(b - a, axis=-1, keepdims=True)
     va, vb = (_velocity(yaw[..., piece + i], speed[..., piece + i]) * dt_s for i in (0, 1))
-    va, vb = (_at_most(v, 3.0 * chord) for v in (va, vb))  # no overshoot of a short piece
-    where = (
+    va, vb = (_shortened(v, 3.0 * chord) for v in (va, vb))  # no overshoot of a short piece
+    dense_xy = (
         (2 * u**3 - 3 * u**2 + 1) * a
         + (u**3 - 2 * u**2 + u) * va
         + (3 * u**2 - 2 * u**3) * b
         + (u**3 - u**2) * vb
     )
     share = u[..., 0]
-    turned = wrap_angle(yaw[..., piece] + share * wrap_angle(yaw[..., piece + 1] - yaw[..., piece]))
-    pace = (1 - share) * speed[..., piece] + share * speed[..., piece + 1]
-    return where, turned, pace
+    dense_yaw = wrap_angle(yaw[..., piece] + share * wrap_angle(yaw[..., piece + 1] - yaw[..., piece]))
+    dense_speed = (1 - share) * speed[..., piece] + share * speed[..., piece + 1]
+    return dense_xy, dense_yaw, dense_speed
 
 
-def _at_most(vector: FloatArray, length: FloatArray) -> FloatArray:
+def _shortened(vector: FloatArray, length: FloatArray) -> FloatArray:
+    """Return *vector* (…, 2) with at most *length* (…, 1)."""
     norm = np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
     return np.asarray(vector * np.minimum(1.0, length / norm))
 

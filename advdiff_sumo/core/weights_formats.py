@@ -1,4 +1,4 @@
-"""What files of weights hold, by the format that their headers name."""
+"""Formats of weights files, as named in their headers, and their contents."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ CONTENTS: Mapping[str, str] = {
     "advdiff-actor-1": "an actor of Adv-RL",
     "advdiff-training-1": "the checkpoint of a training",
 }
-"""What a file of each format holds."""
+"""Content of a file, by format."""
 
 
 def of_another_format(path: Path, kind: str, found: str, remedy: str) -> WeightsError:
-    """Return the error of a file of the format *found* in place of *kind*; the *remedy* is of one that nobody knows."""
+    """Return the error for a file of format *found* instead of *kind*; *remedy* is used if a format is unknown."""
     problem = f"is not of the format {kind}"
     if found not in CONTENTS or kind not in CONTENTS:
         return WeightsError(path, problem, remedy)

@@ -1,4 +1,4 @@
-"""Files that are whole or as they were before: written aside, flushed to the disk, and renamed."""
+"""Write files atomically: to a temporary file that is flushed to the disk and then renamed."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from advdiff_sumo.core.errors import FileError, os_reason
 A = TypeVar("A")
 T = TypeVar("T")
 
-#: In the name of every file that is being written.
+#: Part of the name of every temporary file.
 ASIDE = ".aside"
 
 
 @contextlib.contextmanager
 def whole_file(path: Path, ending: str = "") -> Iterator[Path]:
-    """Yield where to write what becomes *path* when the block ends well; otherwise *path* stays as it was.
+    """Yield the path of a temporary file that replaces *path* if the block succeeds; otherwise *path* is unchanged.
 
     Args:
-        path: the file; its folder must be there.
-        ending: of the name to write to, for writers that go by it.
+        path: the file; its folder must exist.
+        ending: extension of the temporary file, for writers that depend on it.
 
     Raises:
-        OSError: of the block, or of flushing and renaming.
+        OSError: raised by the block, or by flushing or renaming.
     """
     aside = aside_of(path, ending)
     try:
@@ -40,11 +40,11 @@ def whole_file(path: Path, ending: str = "") -> Iterator[Path]:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> None:
-    """Make the folder *path*, which an option names, and those above it, unless they are there.
+    """Make the folder *path*, given by an option, and its parents, unless they exist.
 
     Args:
-        path: of the folder.
-        remedy: what to do where it cannot be made.
+        path: path of the folder.
+        remedy: what to do if it cannot be made.
 
     Raises:
         FileError: it cannot be made.
@@ -56,12 +56,12 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> None:
 
 
 def aside_of(path: Path, ending: str = "") -> Path:
-    """Return where this process writes *path* before it gets its name."""
+    """Return the path of the temporary file of this process for *path*."""
     return path.with_name(f"{path.name}.{os.getpid()}{ASIDE}{ending}")
 
 
 def settle(aside: Path, path: Path) -> None:
-    """Flush a finished file to the disk, give it its name, and let the folder remember it."""
+    """Flush the temporary file *aside* to the disk, rename it to *path*, and flush the folder."""
     with aside.open("rb+") as file:
         os.fsync(file.fileno())
     aside.replace(path)
@@ -74,28 +74,28 @@ def settle(aside: Path, path: Path) -> None:
 
 
 def file_state(path: str | Path) -> tuple[int, int]:
-    """Return what changes when *path* is written anew: its time and size; zeros where it is missing."""
+    """Return the modification time in ns and the size of *path*, which show a change; zeros if it is missing."""
     try:
-        about = Path(path).stat()
+        status = Path(path).stat()
     except OSError:
         return 0, 0
-    return about.st_mtime_ns, about.st_size
+    return status.st_mtime_ns, status.st_size
 
 
 def kept_while_same(most: int) -> Callable[[Callable[[str, A], T]], Callable[[str, A], T]]:
-    """Return a decorator that keeps what a reader of a file made of it, until the file changes.
+    """Return a decorator that caches the result of a function that reads a file, until the file changes.
 
     Args:
-        most: how many of its results are kept.
+        most: greatest number of cached results.
     """
 
     def decorate(read: Callable[[str, A], T]) -> Callable[[str, A], T]:
         @lru_cache(maxsize=most)
-        def kept(_state: tuple[int, int], path: str, how: A) -> T:
-            return read(path, how)
+        def cached(_state: tuple[int, int], path: str, option: A) -> T:
+            return read(path, option)
 
-        def reader(path: str, how: A, /) -> T:
-            return kept(file_state(path), path, how)
+        def reader(path: str, option: A, /) -> T:
+            return cached(file_state(path), path, option)
 
         return reader
 

@@ -1,4 +1,4 @@
-"""Sentences out of parts."""
+"""Build parts of sentences: counts and lists."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ def counted(count: int, noun: str) -> str:
 
 
 def in_series(words: Sequence[str]) -> str:
-    """Return *words*, one at least, as a sentence lists them: "a", "a and b", "a, b and c"."""
+    """Return *words*, at least one, as a list in a sentence: "a", "a and b", "a, b and c"."""
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last

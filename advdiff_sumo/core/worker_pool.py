@@ -1,6 +1,6 @@
-"""One pool of workers for work that cannot hang: bench figures, verdicts, simulated windows.
+"""A pool of worker processes for tasks that cannot hang: bench figures, verdicts, simulated windows.
 
-Episodes have executors of their own (``sweep.executors``), with time and memory limits.
+Episodes run in other executors (``sweep.executors``), with time and memory limits.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from advdiff_sumo.core.worker_start import ignore_interrupts, keep_temporary_fil
 Key = TypeVar("Key")
 Task: TypeAlias = tuple[Callable[..., Any], *tuple[Any, ...]]
 """A function and its arguments."""
-_AHEAD = 4
-"""Tasks a worker that are taken in before one of them is done."""
+_QUEUED_PER_WORKER = 4
+"""Tasks that are scheduled at a time for each worker."""
 
 
 def in_processes(tasks: Mapping[Key, Task], workers: int) -> Iterator[tuple[Key, Any]]:
-    """Yield the keys of *tasks* with what their functions return, as they finish; Ctrl-C ends the workers."""
+    """Yield the keys of *tasks* with the results of their functions, as they finish; Ctrl-C ends the workers."""
     for key, future in futures_of(tasks.items(), workers):
         yield key, future.result()
 
@@ -33,34 +33,34 @@ def in_processes(tasks: Mapping[Key, Task], workers: int) -> Iterator[tuple[Key,
 def futures_of(
     tasks: Iterable[tuple[Key, Task]], workers: int, prepare: Callable[[], None] | None = None
 ) -> Iterator[tuple[Key, Future[Any]]]:
-    """Yield the keys of *tasks* with what became of them, as they finish; Ctrl-C ends the workers.
+    """Yield the keys of *tasks* with their completed futures, as they finish; Ctrl-C ends the workers.
 
-    A worker that is killed loses its own task alone: its result raises ``pebble.ProcessExpired``.
+    If a worker is killed, only its own task is lost: its result raises ``pebble.ProcessExpired``.
 
     Args:
-        tasks: by their keys; taken in as workers get free.
-        workers: processes at a time; each computes on one thread.
-        prepare: what a worker does first.
+        tasks: pairs of key and task; read as workers become free.
+        workers: number of processes; each computes on one thread.
+        prepare: function that each worker calls first.
     """
     source = iter(tasks)
     first = list(islice(source, workers))
     if not first:
         return
-    needed = {function.__module__ for _, (function, *_) in first}
-    context = worker_context(sorted(needed if prepare is None else needed | {prepare.__module__}))
+    modules = {function.__module__ for _, (function, *_) in first}
+    context = worker_context(sorted(modules if prepare is None else modules | {prepare.__module__}))
     with (
         tempfile.TemporaryDirectory(prefix="advdiff-", ignore_cleanup_errors=True) as folder,
         ProcessPool(len(first), initializer=_begin, initargs=(prepare, folder), context=context) as pool,
     ):
         try:
-            waiting: dict[Future[Any], Key] = {
-                pool.schedule(function, args=given): key for key, (function, *given) in first
+            pending: dict[Future[Any], Key] = {
+                pool.schedule(function, args=args): key for key, (function, *args) in first
             }
-            while waiting:
-                for key, (function, *given) in islice(source, _AHEAD * workers - len(waiting)):
-                    waiting[pool.schedule(function, args=given)] = key
-                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                yield from ((waiting.pop(future), future) for future in done)
+            while pending:
+                for key, (function, *args) in islice(source, _QUEUED_PER_WORKER * workers - len(pending)):
+                    pending[pool.schedule(function, args=args)] = key
+                done, _ = wait(pending, return_when=FIRST_COMPLETED)
+                yield from ((pending.pop(future), future) for future in done)
         except BaseException:
             pool.stop()  # type: ignore[no-untyped-call] # pebble leaves it without types
             raise

@@ -1,6 +1,6 @@
-"""How worker processes of this machine begin: from one clean process that has imported what they need, if there is one.
+"""Start worker processes from a fork server that has imported the modules they need, if the system has one.
 
-Python's own fork server, one for each command: PyTorch is imported once, not once a worker.
+Each command has one of Python's fork servers, so that PyTorch is imported once and not once per worker.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ FORK_SERVER = "forkserver"
 
 
 def worker_context(modules: Iterable[str]) -> BaseContext:
-    """Return what makes workers. The process that they come from starts now, deaf to Ctrl-C, and imports meanwhile.
+    """Return the context that makes workers, and start the fork server, which imports *modules* in the background.
 
-    Workers have SIGINT blocked until :func:`ignore_interrupts` is called.
+    The fork server ignores Ctrl-C. Workers have SIGINT blocked until :func:`ignore_interrupts` is called.
 
     Args:
-        modules: that workers will need. Those of the first call are loaded before; others each worker imports itself.
+        modules: modules that workers need. The fork server imports those of the first call; each worker imports others.
 
     Raises:
-        ConfigError: the folder of temporary files has no room for a socket's path.
+        ConfigError: the path of the folder for temporary files is too long for a socket.
     """
     if FORK_SERVER not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    from multiprocessing.forkserver import ensure_running  # not there on every system
+    from multiprocessing.forkserver import ensure_running  # not available on every system
 
     from advdiff_sumo.core.fork_server import SharedContext
 
@@ -51,15 +51,15 @@ def worker_context(modules: Iterable[str]) -> BaseContext:
 
 
 def ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that started this worker, for it ends its workers itself."""
+    """Ignore Ctrl-C in this worker, since the process that started it ends its workers itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):  # blocked since the server of workers was started
+    if hasattr(signal, "pthread_sigmask"):  # blocked since the fork server was started
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def keep_temporary_files_in(folder: Path) -> None:
-    """Let temporary files of this process, and of the programs that it starts, lie in *folder*.
+    """Put temporary files of this process, and of the programs that it starts, into *folder*.
 
-    A worker that is ended or killed leaves them behind; its parent removes the folder.
+    A worker that is ended or killed leaves them there; its parent removes the folder.
     """
     tempfile.tempdir = os.environ["TMPDIR"] = str(folder)

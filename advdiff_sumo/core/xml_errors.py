@@ -1,4 +1,4 @@
-"""What a parser raises of XML that it cannot or must not read."""
+"""Exceptions of a parser for XML that it cannot or must not read."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from xml.etree.ElementTree import ParseError
 from defusedxml import DefusedXmlException
 
 UNREADABLE_XML = (ParseError, DefusedXmlException, ValueError, LookupError)
-"""Not well-formed, with entities or references to elsewhere, in an encoding of several bytes, in an unknown one."""
+"""Not well-formed; with entities or external references; in a multi-byte encoding; in an unknown encoding."""

@@ -3,7 +3,7 @@
 Derivatives are those of a least-squares polynomial over ``WINDOW_S`` around each instant (Savitzky and
 Golay 1964, doi:10.1021/ac60214a047): second degree for acceleration and yaw rate, third for jerk, which is the
 second derivative of speed. SUMO turns a vehicle on the spot by some degrees where a lane bends or a lane change
-begins. The window smooths such a step, whose difference quotient would give tens of m/s² of lateral acceleration. An
+begins. The window smooths such a step; its difference quotient would be tens of m/s² of lateral acceleration. An
 instantaneous lane change of SUMO divides the record into stretches that are evaluated separately.
 """
 

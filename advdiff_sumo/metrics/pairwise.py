@@ -13,7 +13,7 @@ TTC_BINS_S = np.arange(0.0, TTC_HORIZON_S + 0.25, 0.5)
 
 
 def least_ttc(
-    xy_m: FloatArray, yaw_rad: FloatArray, velocity_mps: FloatArray, size_m: FloatArray, there: BoolArray
+    xy_m: FloatArray, yaw_rad: FloatArray, velocity_mps: FloatArray, size_m: FloatArray, present: BoolArray
 ) -> FloatArray:
     """Return (…, A) seconds until each agent's box first meets another one, at constant velocity and heading.
 
@@ -25,23 +25,23 @@ def least_ttc(
         yaw_rad: (…, A) headings.
         velocity_mps: (…, A, 2) velocities.
         size_m: (…, A, 2) lengths and widths.
-        there: (…, A) whether the agent is present.
+        present: (…, A) whether the agent is present.
     """
     size_m = np.broadcast_to(size_m, xy_m.shape)
-    seconds = np.full(there.shape, np.inf)
-    i, j = np.triu_indices(there.shape[-1], k=1)
+    seconds = np.full(present.shape, np.inf)
+    i, j = np.triu_indices(present.shape[-1], k=1)
     offset = xy_m[..., j, :] - xy_m[..., i, :]
     closing = velocity_mps[..., j, :] - velocity_mps[..., i, :]
     reach = 0.5 * (np.linalg.norm(size_m[..., i, :], axis=-1) + np.linalg.norm(size_m[..., j, :], axis=-1))
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(offset, axis=-1) <= reach + TTC_HORIZON_S * np.linalg.norm(closing, axis=-1)
-    pairs = np.nonzero(near & there[..., i] & there[..., j])
+    pairs = np.nonzero(near & present[..., i] & present[..., j])
     if len(pairs[0]):
         a, b = (*pairs[:-1], i[pairs[-1]]), (*pairs[:-1], j[pairs[-1]])
         pair_s = _meeting_s(offset[pairs], closing[pairs], (yaw_rad[a], yaw_rad[b]), (size_m[a], size_m[b]))
         np.minimum.at(seconds, a, pair_s)
         np.minimum.at(seconds, b, pair_s)
-    return np.where(there, seconds, np.nan)
+    return np.where(present, seconds, np.nan)
 
 
 def ttc_counts(seconds: FloatArray) -> FloatArray:

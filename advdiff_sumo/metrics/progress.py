@@ -97,16 +97,16 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
     starts = _edge_starts(road, record.route)
     if not starts:
         return []
-    placed = place(road, record.tracks, record.target, 0, record.tracks.steps)
+    placement = place(road, record.tracks, record.target, 0, record.tracks.steps)
     every = max(1, round(_EVERY_S / record.tracks.dt_s))
     driven = _driven_m(record)
     positions: list[tuple[float, float]] = []  # position along the route, metres driven until there
     reached = 0
     for k in sorted({*range(0, record.tracks.steps, every), record.tracks.steps - 1}):
-        number = _route_edge(road, placed.lane[k], record.route, reached)
+        number = _route_edge(road, placement.lane[k], record.route, reached)
         if number is None:
             continue
-        s_m = _along_edge(road, record.route[number], str(placed.lane[k]), float(placed.s_m[k]))
+        s_m = _along_edge(road, record.route[number], str(placement.lane[k]), float(placement.s_m[k]))
         position = starts[number] + s_m
         if positions and position - positions[-1][0] > _STRETCH * (driven[k] - positions[-1][1]) + _SLACK_M:
             continue  # a later edge of the route that lies close by

@@ -22,11 +22,11 @@ _CONTINUE_MPS2 = 0.5
 _MARGIN_M = 1.0
 
 
-def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], theirs: tuple[Link, ...]) -> bool:
-    """Return whether a vehicle on *link* must yield to one on a link of *theirs*, by the net and the *signals*."""
+def yields_to(road: RoadMap, link: Link, signals: Mapping[str, str], other_links: tuple[Link, ...]) -> bool:
+    """Return whether a vehicle on *link* must yield to one on any of *other_links*, by the net and the *signals*."""
     if link.signal(signals) == PROTECTED_GREEN:
         return False
-    return any(road.must_yield(link, x) and x.signal(signals) not in RED for x in theirs)
+    return any(road.must_yield(link, x) and x.signal(signals) not in RED for x in other_links)
 
 
 def stop_demand(

@@ -1,4 +1,4 @@
-"""Boxes: worked values, then shapely as the judge."""
+"""Boxes: hand-worked values, then comparison with shapely."""
 
 from __future__ import annotations
 

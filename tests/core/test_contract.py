@@ -1,4 +1,4 @@
-"""What a value holds is seen when it changes, and what a cache keeps is none of it."""
+"""Changes of a value's content are detected, and cached values do not belong to the content."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_new_entry_of_a_table_is_an_addition() -> None:
     assert not only_added_to(content_of(notes), before)
 
 
-def test_what_is_derived_or_opaque_is_no_content() -> None:
+def test_cached_and_opaque_values_are_no_content() -> None:
     notes = Notes()
     before, hidden = content_of(notes), content_of([notes], opaque=(notes,))
     assert notes.total == 1.0
@@ -78,7 +78,7 @@ def test_what_is_derived_or_opaque_is_no_content() -> None:
     assert content_of([notes], opaque=(notes,)) == hidden
 
 
-def test_a_circle_ends() -> None:
+def test_a_cyclic_value_is_handled() -> None:
     circle: list[Any] = []
     circle.append(circle)
     assert content_of(circle) == content_of(circle)

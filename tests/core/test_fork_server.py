@@ -1,4 +1,4 @@
-"""Exit codes of worker processes, asked for by several threads at once."""
+"""Exit codes of worker processes that several threads read at once."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def asked(process: SharedProcess, together: threading.Barrier) -> int:
     return process.exitcode
 
 
-def test_a_crash_is_a_crash_for_every_thread_that_asks(hasty_threads: None) -> None:
-    """With Python's own class two in three of these processes end with exit code 255."""
+def test_every_thread_reads_the_exit_code_of_a_crash(hasty_threads: None) -> None:
+    """With Python's own class two in three of these processes report exit code 255."""
     context = SharedContext()
     for _ in range(PROCESSES):
         process = context.Process(target=crash)

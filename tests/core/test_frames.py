@@ -1,4 +1,4 @@
-"""Angles and frames, worked by hand and there and back."""
+"""Angles and frames: hand-worked values, and conversions that are reversed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An error of the system has a reason in words, also where a library gave it no number."""
+"""Every OSError has a reason in words, also if a library raised it without a number."""
 
 from __future__ import annotations
 
@@ -41,6 +41,6 @@ def test_a_file_that_a_library_cannot_read_says_why(tmp_path: Path, monkeypatch:
         make_folder(tmp_path / "out")
 
 
-def test_no_module_takes_the_reason_of_an_error_by_itself() -> None:
+def test_all_modules_use_os_reason() -> None:
     asking = {path for path in PACKAGE.rglob("*.py") if ".strerror" in path.read_text(encoding="utf-8")}
     assert asking == {PACKAGE / "core" / "errors.py", WITHOUT_PACKAGE}

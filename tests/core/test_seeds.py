@@ -22,7 +22,7 @@ def test_the_numbers_are_those_of_sha256() -> None:
 
 
 def test_the_numbers_never_change() -> None:
-    """Recorded once; a change here changes every run that anybody made."""
+    """Recorded once; a change here would change every earlier run."""
     assert SeedTree(0).integer() == RECORDED["root"]
     assert SeedTree(1).child("episode", 0).integer() == RECORDED["episode"]
     assert SeedTree(1).child("episode", 0).generator().integers(1000, size=3).tolist() == RECORDED["draws"]

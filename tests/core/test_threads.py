@@ -1,4 +1,4 @@
-"""One thread within, the caller's threads after."""
+"""One thread inside the block, the previous number of threads after it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _counts() -> tuple[int, list[int]]:
     ]
 
 
-def test_one_within_and_as_before_after() -> None:
+def test_one_thread_inside_and_the_previous_number_after() -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:

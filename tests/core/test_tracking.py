@@ -1,4 +1,4 @@
-"""From plans to states: what can be driven is driven exactly, the rest within limits."""
+"""From plans to states: feasible plans are driven exactly, others within limits."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_an_infeasible_reference_is_followed_within_the_limits(seed: int, speed:
 def test_tracking_by_single_steps_gives_the_same_bits(
     seed: int, shape: tuple[int, ...], speed: float
 ) -> None:
-    """The law of feed-forward and feedback written out with whole points, step by step."""
+    """The control law written with point arrays, step by step."""
     rng = np.random.default_rng(seed)
     reference = (
         rng.normal(0, 20, (*shape, 9, 2)),
@@ -94,7 +94,7 @@ def test_tracking_by_single_steps_gives_the_same_bits(
 @given(st.floats(0.0, 40.0), st.floats(-9.0, 4.0), st.floats(-0.2, 0.2))
 @settings(max_examples=60, deadline=None)
 def test_a_step_is_the_chord_of_its_arc(speed: float, accel: float, bend: float) -> None:
-    """Written with numpy's sinc and whole points: the same bits."""
+    """The same bits as a formula with numpy's sinc and point arrays."""
     xy, yaw, pace = np.array((5.0, -2.0)), np.asarray(0.3), np.asarray(speed)
     stop_s = np.where(accel < 0.0, pace / np.maximum(-accel, 1e-9), np.inf)
     moving_s = np.minimum(np.maximum(stop_s, 0.0), STEP)
@@ -104,7 +104,7 @@ def test_a_step_is_the_chord_of_its_arc(speed: float, accel: float, bend: float)
     assert np.array_equal(moved, xy + travelled * np.sinc(half / np.pi) * unit(yaw + half))
 
 
-def test_an_offset_dies_out() -> None:
+def test_an_offset_decays() -> None:
     steps = 80
     x = 5.0 + 0.8 * np.arange(1, steps + 1)
     reference = np.column_stack((x, np.full(steps, -2.0))), np.zeros(steps), np.full(steps, 8.0)
@@ -126,7 +126,7 @@ def test_vehicles_side_by_side_do_not_mix() -> None:
         np.testing.assert_allclose(driven[0][row], reference[0], atol=1e-9)
 
 
-def test_controls_are_held_and_the_last_one_goes_on() -> None:
+def test_controls_are_held_and_the_last_one_continues() -> None:
     controls = Controls(np.array((1.0, -2.0)), np.array((0.05, -0.1)), 0.5)
     driven = drive_controls(start(), controls, LENGTH, STEP, 15, LIMITS)
     accel = np.repeat((1.0, -2.0, -2.0), 5)

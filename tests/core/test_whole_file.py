@@ -1,4 +1,4 @@
-"""A file that is being written is the old one or the new one, never a part."""
+"""While a file is written, its path holds the old or the new content, never a part."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from advdiff_sumo.core.whole_file import kept_while_same, whole_file
 
 
-def test_the_new_file_is_there_after_the_block_alone(tmp_path: Path) -> None:
+def test_the_new_file_appears_only_after_the_block(tmp_path: Path) -> None:
     path = tmp_path / "figures.json"
     path.write_text("old")
     with whole_file(path) as aside:
@@ -40,14 +40,14 @@ def test_a_block_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
         pass
 
 
-def test_the_ending_is_the_writers(tmp_path: Path) -> None:
+def test_the_temporary_file_has_the_given_ending(tmp_path: Path) -> None:
     with whole_file(tmp_path / "film.mp4", ".mp4") as aside:
         assert aside.suffix == ".mp4"
         aside.write_bytes(b"film")
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
 
 
-def test_what_is_kept_of_a_file_is_read_anew_when_the_file_changes(tmp_path: Path) -> None:
+def test_a_cached_file_is_read_again_when_it_changes(tmp_path: Path) -> None:
     asked = []
 
     @kept_while_same(2)

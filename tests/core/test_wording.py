@@ -1,4 +1,4 @@
-"""Sentences out of parts."""
+"""Parts of sentences: counts and lists."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from advdiff_sumo.core.wording import counted, in_series
         (3, "critical near miss", "3 critical near misses"),
     ],
 )
-def test_a_noun_goes_with_its_count(count: int, noun: str, words: str) -> None:
+def test_the_noun_agrees_with_its_count(count: int, noun: str, words: str) -> None:
     assert counted(count, noun) == words
 
 

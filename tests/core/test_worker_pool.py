@@ -1,4 +1,4 @@
-"""A pool's temporary files, whatever becomes of its workers."""
+"""Temporary files of a pool are removed, also if its workers are killed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def leaves_a_folder(killed: bool) -> str:
     return folder
 
 
-def test_what_workers_leave_goes_with_the_pool() -> None:
+def test_files_left_by_workers_are_removed_with_the_pool() -> None:
     ends = dict(futures_of([(killed, (leaves_a_folder, killed)) for killed in (False, True)], 1))
     assert isinstance(ends[True].exception(), ProcessExpired)
     of_pool = Path(ends[False].result()).parent

@@ -1,4 +1,4 @@
-"""A small crossing, and records of cars driven by hand on it."""
+"""A small crossing, and hand-made records of cars on it."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def stop_road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 @pytest.fixture(scope="session")
 def straight() -> Callable[..., Car]:
-    """Return a maker of cars at constant velocity."""
+    """Return a function that makes cars at constant velocity."""
     return encounters.straight
 
 
 @pytest.fixture(scope="session")
 def record_of() -> Callable[..., EpisodeRecord]:
-    """Return a maker of records; the first car is the target."""
+    """Return a function that makes records; the first car is the target."""
     return encounters.record_of

@@ -1,4 +1,4 @@
-"""Encounters whose verdicts are worked by hand: who drives how, and what the verdict must be and why.
+"""Encounters with hand-worked verdicts: the motion of the cars, the expected verdict, and the reasons.
 
 Cars are 4 x 2 m; lanes, stop lines (x = -7.2, y = -10.4) and limit (13.89 m/s) are those of
 ``encounters.crossing``.
@@ -6,9 +6,9 @@ Cars are 4 x 2 m; lanes, stop lines (x = -7.2, y = -10.4) and limit (13.89 m/s) 
 Stopping distance of ``CC_human_driver`` from v, by its definition at 10 Hz (the speed of instant i + 1 is
 driven for 0.1 s): eight instants with 0.4 m/s² (0.75 s), 0.8 v - 0.144 m, leave v - 0.32; five on which braking
 grows by 12.65 m/s³ (1.665, 2.930, 4.195, 5.460, 6.725 m/s²), 0.5 v - 0.663 m, leave u = v - 2.4175; then 0.7593
-m/s an instant, n = floor(u / 0.7593) of them, 0.1 (n u - 0.7593 n (n + 1) / 2) m. So D(2) = 1.8, D(5) = 6.0,
-D(6) = 7.7, D(10) = 15.6, D(11) = 17.9, D(12) = 20.4, D(14) = 25.7 m. Behind somebody who keeps a speed the same
-sum over the closing speed c, until it is 0, is what is lost of the gap: L(5) = 6.0, L(8) = 11.4, L(9) = 13.4 m.
+m/s per instant, n = floor(u / 0.7593) of them, 0.1 (n u - 0.7593 n (n + 1) / 2) m. So D(2) = 1.8, D(5) = 6.0,
+D(6) = 7.7, D(10) = 15.6, D(11) = 17.9, D(12) = 20.4, D(14) = 25.7 m. Behind a leader at constant speed, the same
+sum over the closing speed c, until it is 0, is the loss of the gap: L(5) = 6.0, L(8) = 11.4, L(9) = 13.4 m.
 
 The safe gap is 0.75 v_f + (v_f² - v_l²) / 12.
 """
@@ -49,16 +49,16 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     Constructed(
         "rear-ended while standing",
         lambda _: (straight("still", (-80, -1.6), 0, 0), straight("fast", (-110, -1.6), 0, 12)),
-        # who stands can only stand: hit with the full 12 m/s
+        # a standing driver remains standing: hit at the full 12 m/s
         Expected(*STRUCK, impact_mps=(12.0, 0.1)),
         # 26 m apart, D(12) = 20.4
         Expected(*STRIKES, spare_m=(5.6, 0.6)),
     ),
     Constructed(
         "avoidable stop of a leader",
-        # 30 m behind at 12 m/s, who brakes with 3 m/s² from 0.5 s. Seen at 0.7 s; by 1.5 s 1.4 m are lost
-        # (leader 9 m/s), by 2.0 s 1.3 m (9.6 against 7.5), by 2.45 s, when both do 6.1 m/s, 0.5 m. From there
-        # it brakes with the leader, half a metre in all: 30 - 3.7
+        # 30 m behind a leader at 12 m/s that brakes at 3 m/s² from 0.5 s. Perceived at 0.7 s; by 1.5 s 1.4 m are lost
+        # (leader 9 m/s), by 2.0 s 1.3 m (9.6 against 7.5), by 2.45 s, when both drive 6.1 m/s, 0.5 m. From there
+        # it brakes with the leader, half a metre in total: 30 - 3.7
         lambda _: stops_ahead(30.0, 12.0, 3.0),
         Expected(*STRIKES, spare_m=(26.3, 1.0)),
         # contact at 5.0 s; the target has stood since 4.5 s
@@ -66,8 +66,8 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "leader brakes hard at two seconds",
-        # 18 m behind at 9 m/s; 7 m/s² from 0.5 s stop the leader in 1.29 s and 5.8 m (5.3 by steps). Seen at
-        # 0.6 s: 18 + 4.5 + 5.3 - 5.4 - D(9) 13.4 = 9.0. Contact at 3.1 s, the leader has stood since 1.8 s: it
+        # 18 m behind at 9 m/s; 7 m/s² from 0.5 s stop the leader in 1.29 s and 5.8 m (5.3 by steps). Perceived at
+        # 0.6 s: 18 + 4.5 + 5.3 - 5.4 - D(9) 13.4 = 9.0. Contact at 3.1 s; the leader has stood since 1.8 s, so it
         # could be seen
         lambda _: stops_ahead(18.0, 9.0, 7.0),
         Expected(*STRIKES, spare_m=(9.0, 1.0)),
@@ -75,10 +75,10 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "leader brakes hard at two thirds of a second",
-        # 8 m behind at 12 m/s; contact after 3.5 t² = 8, t = 1.5 s: the leader still drives, and braking with 7
-        # m/s² is more than one must expect: no breach. Whoever strikes from behind is at fault all the same
-        # (rule of fault), as it followed so closely. Seen at 0.6 s the driver is at 23.7 m = 8 + 6 + 9.7 at 2.1
-        # s, doing 8.1; the leader 0.8
+        # 8 m behind at 12 m/s; contact after 3.5 t² = 8, t = 1.5 s: the leader still drives, and 7 m/s² is more
+        # braking than must be expected: no breach. The striking vehicle is still at fault (rule of fault), as it
+        # followed so closely. Perceived at 0.6 s; the driver is at 23.7 m = 8 + 6 + 9.7 at 2.1 s, at 8.1 m/s, the
+        # leader at 0.8 m/s
         lambda _: stops_ahead(8.0, 12.0, 7.0),
         Expected("target", (), (), True, False, impact_mps=(7.3, 1.0)),
         Expected("other", (), (), False, False),
@@ -93,9 +93,9 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "cut-in at 3 s",
-        # d = 23 - 8 = 15 m when the sideways gap closes; L(5) = 6.0 of it are lost. The contact is at 4.6 s,
-        # over 3 s after the entry at 1.5 s: by the rule of fault the lane is its own by then, and who strikes
-        # is at fault, though the entry itself was one with 15.5 m where 18.5 are needed
+        # d = 23 - 8 = 15 m when the lateral gap closes; L(5) = 6.0 of it are lost. The contact is at 4.6 s,
+        # over 3 s after the entry at 1.5 s: by the rule of fault the lane is its own by then, and the striking
+        # vehicle is at fault, although the entry had a gap of 15.5 m where 18.5 m are needed
         lambda _: cut_in(23.0, 61),
         Expected("target", (), ("unsafe_lane_entry",), True, True, spare_m=(9.0, 0.8)),
         Expected("other", ("unsafe_lane_entry",), (), False, False),
@@ -129,7 +129,7 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "both run the red light",
-        # both to blame: neither can claim the right of way. The driver stops 1 m before x = -7.2, the other's
+        # both ran red: neither has the right of way. The driver stops 1 m before x = -7.2, the other's
         # side is at 0.6; as it rolls to the line, 2 s from the other's way, it brakes fully, and v²/4 becomes
         # v²/15: up to 2 m earlier
         red_light,
@@ -161,7 +161,7 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "both to blame: one too fast, one takes its way",
-        # 20 m/s where 13.89 are allowed; the one with the duty to yield is at fault. Its driver: as above
+        # 20 m/s where 13.89 are allowed; the party that must yield is at fault. Its driver: as above
         lambda _: (straight("north", (1.6, -31), NORTH, 10), straight("east", (-60, -1.6), 0, 20)),
         Expected("target", ("right_of_way",), ("speeding",), True, True, spare_m=(6.5, 2.3)),
         Expected("other", ("speeding",), ("right_of_way",), False),
@@ -182,14 +182,14 @@ ENCOUNTERS: tuple[Constructed, ...] = (
         # D(6) = 7.7 m of 12 m two seconds before the contact, even were there no stop line
         left_turn,
         Expected("target", ("right_of_way",), (), True, True),
-        # D(10) = 15.6 of 20 m, and the one that turns goes on out of the way
+        # D(10) = 15.6 of 20 m, and the turning car clears the way
         Expected("other", (), ("right_of_way",), False, True),
         routes=(("WC", "CN"), WEST_ROUTE),
         made_for=True,
     ),
     Constructed(
         "roundabout entry",
-        # on the ring: 6 m/s, D = 7.7 of 12 m; the one that enters goes on ahead. Entering: the line binds
+        # on the ring: 6 m/s, D = 7.7 of 12 m; the entering car drives on ahead. Entering: the line binds
         roundabout,
         Expected("other", (), ("right_of_way",), False, True),
         Expected("target", ("right_of_way",), (), True, True),
@@ -219,7 +219,7 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "occluded crossing, in the record from 0.8 s before the contact on",
-        # off the pedal for as long as there is: 12 - 0.4 * 0.8
+        # off the pedal until the contact: 12 - 0.4 * 0.8
         lambda _: hidden_walker(2.15),
         Expected("other", (), ("unsafe_lane_entry",), False, False, impact_mps=(11.7, 0.2)),
     ),
@@ -304,7 +304,7 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "both drift into each other",
-        # both to blame alike
+        # both moved sideways
         lambda _: (
             straight("left", (-150, -1.6), 0, 12, drift=-0.8),
             straight("right", (-150, -4.8), 0, 12, drift=0.8),
@@ -321,12 +321,12 @@ ENCOUNTERS: tuple[Constructed, ...] = (
     ),
     Constructed(
         "pushed by a third into the one ahead",
-        # a driver who stands there is pushed by the same third
+        # a driver that stands there is pushed by the same third
         pushed,
         Expected(
             "other", (), (), False, False, impact_mps=(10.0, 0.1), says="is run into by 'third' at 10.0 m/s"
         ),
-        # the one ahead stands and is hit with 5 m/s by somebody who could not help it
+        # the car ahead stands and is hit at 5 m/s by a car that was pushed
         Expected("other", (), (), False, False, impact_mps=(5.0, 0.1)),
     ),
     Constructed(

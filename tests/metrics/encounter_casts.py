@@ -1,4 +1,4 @@
-"""Who drives how in the encounters of ``constructed_encounters``, and what a verdict of theirs states."""
+"""The cars of the encounters in ``constructed_encounters``, and the form of their expected verdicts."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ RING_ROUTE, ENTRY_ROUTE = ("NW", "WS", "SO"), ("IW", "WS", "SO")
 
 @dataclass(frozen=True)
 class Expected:
-    """A verdict.
+    """The expected verdict.
 
     Attributes:
-        fault: who is at fault.
+        fault: the party at fault.
         own: the target's breaches.
-        other: the other's.
-        valid: it is a valid failure.
-        preventable: by ``CC_human_driver``; None where it hangs on a hair and is not asserted.
-        spare_m: what that driver clears the other by, and the tolerance.
-        impact_mps: closing speed that it is left with, and the tolerance.
+        other: the other's breaches.
+        valid: whether it is a valid failure.
+        preventable: whether ``CC_human_driver`` avoids it; None if that is too close to assert.
+        spare_m: gap of that driver to the other, and the tolerance.
+        impact_mps: closing speed at which it still collides, and the tolerance.
         says: part of the sentence.
     """
 
@@ -51,13 +51,13 @@ class Constructed:
     """An encounter in right-hand traffic; its mirror image is the same in left-hand traffic.
 
     Attributes:
-        name: what it is.
-        cast: the cars on a given map: the target, the other, anybody else.
+        name: name of the encounter.
+        cast: returns the cars on a given map: the target, the other, all others.
         given: its verdict.
-        exchanged: the verdict with target and other exchanged; None where nothing is to be said.
-        routes: of the target and of the other.
-        net: which map.
-        lights: letter of each link that matters.
+        exchanged: the verdict with target and other exchanged; None if it is not checked.
+        routes: routes of the target and of the other.
+        net: name of the map.
+        lights: signal letter of each relevant link.
         made_for: whether *cast* already makes the mirror image on a left-hand map.
     """
 
@@ -72,7 +72,7 @@ class Constructed:
 
 
 def along(name: str, line: Polyline, through: FloatArray, at_s: float, speed: float, steps: int) -> Car:
-    """Return a car that keeps to *line* at *speed* and has its centre nearest to *through* (2,) at *at_s*."""
+    """Return a car that follows *line* at *speed*, with its centre nearest to *through* (2,) at *at_s*."""
     s = float(line.project(through)[0]) + speed * (0.1 * np.arange(steps) - at_s)
     xy, yaw = line.at(s, extrapolate=True)
     return Car(name, xy, yaw, np.full(steps, speed))
@@ -86,7 +86,7 @@ def line_over(road: RoadMap, from_edge: str, to_edge: str) -> Polyline:
 
 
 def left_turn(road: RoadMap) -> tuple[Car, Car]:
-    # both centres are where their lines cross, at 4 s
+    # at 4 s both centres are where their lines cross
     to_edge = "CS" if road.lanes["WC_1"].line.xy_m[-1, 1] > 0.0 else "CN"
     turning, oncoming = line_over(road, "WC", to_edge), road.lanes["EC_1"].line
     ends = np.array((oncoming.xy_m[0], oncoming.xy_m[-1] - (100.0, 0.0)))
@@ -98,7 +98,7 @@ def left_turn(road: RoadMap) -> tuple[Car, Car]:
 
 
 def roundabout(road: RoadMap) -> tuple[Car, Car]:
-    # both come to where the lane after the entry begins at 4 s
+    # at 4 s both reach the start of the lane after the entry
     onward = road.lanes["WS_0"].line
     ring = concatenate([line_over(road, "NW", "WS"), line_over(road, "WS", "SO")])
     entry = concatenate([line_over(road, "IW", "WS"), line_over(road, "WS", "SO")])
@@ -108,7 +108,7 @@ def roundabout(road: RoadMap) -> tuple[Car, Car]:
 
 
 def cut_in(gap_m: float, steps: int) -> tuple[Car, Car]:
-    """The ego at 13 m/s; beside its lane, *gap_m* ahead, one at 8 m/s that moves over with 2 m/s from 1 s on."""
+    """The ego at 13 m/s and, *gap_m* ahead in the next lane, a car at 8 m/s that moves over at 2 m/s from 1 s on."""
     t = 0.1 * np.arange(steps)
     cutter = driven(
         "cutter",
@@ -140,13 +140,13 @@ def pushed(_: RoadMap) -> tuple[Car, ...]:
 
 
 def pile_up_ahead(_: RoadMap) -> tuple[Car, ...]:
-    # the leader's front is 18 m behind what stands: it hits it at 1.5 s and stops dead
+    # the leader's front is 18 m behind a standing car: it hits it at 1.5 s and stops at once
     lead = driven("lead", (-122, -1.6), 0, np.where(np.arange(61) <= 15, 12.0, 0.0))
     return straight("ego", (-150, -1.6), 0, 12, 61), lead, straight("still", (-99.9, -1.6), 0, 0, 61)
 
 
 def cut_out(_: RoadMap) -> tuple[Car, ...]:
-    # 24 m ahead (2 s) the leader begins to move out with 2 m/s where what stands is 20 m before it
+    # 24 m (2 s) ahead of the ego, the leader begins to move out at 2 m/s when it is 20 m from a standing car
     t = 0.1 * np.arange(61)
     lead = driven("lead", (-122, -4.8), 0, np.full(61, 12.0), left=np.clip(2.0 * (t - 1.0), 0.0, 3.2))
     return straight("ego", (-150, -4.8), 0, 12, 61), straight("still", (-86, -4.8), 0, 0, 61), lead

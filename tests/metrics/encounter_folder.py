@@ -1,4 +1,4 @@
-"""The folder of a run of three encounters driven by hand: a valid failure, a red-light runner, a critical near miss."""
+"""A run folder of three hand-made encounters: a valid failure, a red-light runner, a critical near miss."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STEPS = 61
 
 
 def encounter_folder(place: Path) -> Path:
-    """Write the folder ``run`` into *place*, and its net beside it."""
+    """Write the folder ``run`` and its net into *place*."""
     road = crossing(place, "traffic_light")
     t = 0.1 * np.arange(STEPS)
     late = (

@@ -1,4 +1,4 @@
-"""Encounters driven by hand on made-up nets, for tests of metrics and verdicts: nets, cars and records."""
+"""Hand-made encounters on constructed nets, for tests of metrics and verdicts: nets, cars and records."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def crossing(folder: Path, kind: str, lefthand: bool = False) -> RoadMap:
     SC_0 x = 1.6 (northward), NC_0 x = -1.6. The junction reaches about 10 m from the origin. The limit is 13.89 m/s.
 
     Args:
-        folder: where the net is made.
+        folder: folder in which the net is made.
         kind: SUMO's type of junction: priority (the street along x has it), traffic_light, allway_stop, ...
-        lefthand: traffic keeps left.
+        lefthand: whether traffic keeps left.
     """
     return build(folder, NODES.format(kind=kind), EDGES, f"{kind}{'-left' * lefthand}", lefthand)
 
@@ -60,7 +60,7 @@ def crossing(folder: Path, kind: str, lefthand: bool = False) -> RoadMap:
 def build(
     folder: Path, nodes: str, edges: str, name: str, lefthand: bool = False, more: Sequence[str] = ()
 ) -> RoadMap:
-    """Make a net of plain XML *nodes* and *edges*, as netconvert reads them with *more* options; coordinates stay."""
+    """Make a net from plain XML *nodes* and *edges* with netconvert and *more* options; coordinates do not change."""
     (folder / f"{name}.nod.xml").write_text(nodes)
     (folder / f"{name}.edg.xml").write_text(edges)
     net = folder / f"{name}.net.xml"
@@ -81,7 +81,7 @@ def straight(
     drift: float = 0.0,
     size: tuple[float, float] = (4.0, 2.0),
 ) -> Car:
-    """Return a car at constant velocity; *drift* is a sideways speed (left positive)."""
+    """Return a car at constant velocity; *drift* is its lateral speed (left positive)."""
     t = DT_S * np.arange(steps)[:, None]
     ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     path = np.asarray(xy) + t * (speed * ahead + drift * left)
@@ -106,7 +106,7 @@ def driven(
         speed: (T,) speed at each instant; x[i + 1] = x[i] + v[i + 1] * 0.1 s.
         left: (T,) offset to the left at each instant, or one for all.
         size: length and width.
-        agent_class: what it is.
+        agent_class: its class.
     """
     v = np.asarray(speed, dtype=np.float64)
     s = np.concatenate(([0.0], np.cumsum(v[1:]) * DT_S))[:, None]
@@ -117,7 +117,7 @@ def driven(
 
 
 def braking(speed: float, after_s: float, brake_mps2: float, steps: int) -> FloatArray:
-    """Return (T,) speeds of a car that drives on for *after_s* and then brakes evenly to a stop."""
+    """Return (T,) speeds of a car that keeps its speed for *after_s* and then brakes evenly to a stop."""
     t = DT_S * np.arange(steps)
     return np.maximum(0.0, speed - brake_mps2 * np.maximum(0.0, t - after_s))
 
@@ -178,7 +178,7 @@ def along(name: str, line: Polyline, s_m: FloatArray, left_m: FloatArray | float
 
 
 def findings(record: EpisodeRecord, road: RoadMap) -> tuple[str, str, list[str], list[str]]:
-    """Return kind, fault and either side's breaches of the target's first collision."""
+    """Return kind, fault and both parties' breaches of the target's first collision."""
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
     verdict = judge(record, road, hit)

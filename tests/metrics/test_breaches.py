@@ -1,4 +1,4 @@
-"""Each breach on an encounter worked by hand, with the contact that it led to and one that it did not.
+"""Each breach in a hand-worked encounter in which it led to the contact, and in one in which it did not.
 
 The crossing and its lanes are those of ``encounters.crossing``; cars are 4 x 2 m.
 """
@@ -41,8 +41,8 @@ def broken(record, road: RoadMap) -> tuple[list[str], list[str]]:
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
     view = TrafficView.of_record(record, road)
-    met = encounter(view, hit)
-    own, other = ([str(x.kind) for x in breaches_of(view, met, which)] for which in (0, 1))
+    case = encounter(view, hit)
+    own, other = ([str(x.kind) for x in breaches_of(view, case, index)] for index in (0, 1))
     return own, other
 
 
@@ -90,7 +90,7 @@ def test_red_light(light_road, east, north, expected) -> None:
 def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
     light_road, red_from_s, expected
 ) -> None:
-    """Called a breach before, as its centre came after its front. The stop line lies at x = -7.2."""
+    """The signal when the front passes counts, not when the centre does. The stop line lies at x = -7.2."""
     bus = straight(
         "bus", (-15.7, -1.6), 0, 5, steps=51, size=(12.0, 2.5)
     )  # its front passes at 0.5, its centre at 1.7 s
@@ -104,7 +104,7 @@ def test_a_long_vehicle_whose_front_passed_on_green_ran_no_red_light(
 
 @pytest.mark.parametrize("length_m", [4.0, 12.0, 16.5])
 def test_a_long_vehicle_whose_middle_is_still_before_the_line_ran_the_red_light(light_road, length_m) -> None:
-    """No breach before, as its middle had not entered: its front is 4.6 m beyond the line at the contact."""
+    """The front is 4.6 m beyond the line at the contact; the centre has not entered yet."""
     bus = straight("bus", (-14.7 - 0.5 * length_m, -1.6), 0, 5, steps=41, size=(length_m, 2.5))
     south = straight("south", (-1.6, 22), -NORTH, 9, steps=41)
     signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
@@ -118,14 +118,14 @@ def test_a_long_vehicle_whose_middle_is_still_before_the_line_ran_the_red_light(
     )
 
 
-def test_who_waits_at_red_with_its_front_over_the_line_has_not_entered(light_road) -> None:
+def test_waiting_at_red_with_the_front_over_the_line_is_no_entry(light_road) -> None:
     waits = straight("waits", (-8.9, -1.6), 0, 0)  # its front is 0.3 m over the line
     turns = straight("turns", (-6, 12), -math.radians(95), 9)  # cuts the corner
     signals = signals_of(light_road, {("WC_1", "CE_1"): "r", ("NC_0", "CS_0"): "G"}, 41)
     assert "red_light" not in broken(record_of(waits, turns, signals=signals), light_road)[0]
 
 
-def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) -> None:
+def test_standing_over_the_line_at_red_and_entering_on_green_is_no_red_light_breach(light_road) -> None:
     ego = driven(
         "ego", (-8, -1.6), 0, np.where(np.arange(51) < 10, 0.0, 8.0)
     )  # its front is 1.2 m over the line
@@ -136,14 +136,14 @@ def test_who_stands_over_the_line_at_red_and_goes_on_green_ran_none(light_road) 
     assert "red_light" in broken(record_of(ego, north, signals=before), light_road)[0]
 
 
-def test_a_red_light_does_not_matter_to_who_follows(light_road) -> None:
+def test_a_red_light_did_not_lead_to_a_collision_with_the_follower(light_road) -> None:
     # both run the red light eastward; the faster one behind hits the rear of the one ahead on the junction
     ego, lead = straight("ego", (-32, -1.6), 0, 14), straight("lead", (-14, -1.6), 0, 7)
     record = record_of(ego, lead, signals=lights(light_road, "r", "G"))
     assert broken(record, light_road) == (["ran_into"], [])
 
 
-def test_without_signals_no_red_light_is_seen(light_road) -> None:
+def test_without_signals_there_are_no_red_lights(light_road) -> None:
     cars = straight("east", (-30, -1.6), 0, 10), straight("north", (1.6, -31), NORTH, 10)
     own, other = broken(record_of(*cars), light_road)
     assert "red_light" not in (*own, *other)
@@ -155,8 +155,8 @@ def test_right_of_way_by_the_rows_of_the_net(road) -> None:
     assert broken(record_of(north, east, route=("SC", "CN")), road) == (["right_of_way"], [])
 
 
-def test_a_breach_of_who_was_not_seen_entering_is_of_the_contact(road) -> None:
-    """Dated before to the record's end, 4 s after the contact; both are on the junction from the first instant."""
+def test_a_breach_without_a_recorded_entry_has_the_time_of_the_contact(road) -> None:
+    """Both are on the junction from the first instant; the record ends 4 s after the contact."""
     east, north = (
         straight("east", (-8, -1.6), 0, 6, steps=61),
         straight("north", (1.6, -10), NORTH, 5, steps=61),
@@ -169,7 +169,7 @@ def test_a_breach_of_who_was_not_seen_entering_is_of_the_contact(road) -> None:
     assert breach.time_s == pytest.approx(DT_S * hit.step)
 
 
-def test_who_has_stood_on_the_junction_for_a_second_is_run_into(road) -> None:
+def test_running_into_a_vehicle_that_has_stood_on_the_junction_for_a_second(road) -> None:
     # the bus enters at 10 m/s and stands across the street from about 2.5 s on; the target comes at 6.6 s
     bus = driven("bus", (1.6, -20), NORTH, braking(10, 0.6, 5.5, 81), size=(10.0, 2.5))
     assert abs(bus.xy_m[-1, 1] + 1.6) < 6.0, "the bus blocks the lane"
@@ -184,11 +184,11 @@ def test_all_way_stop_the_later_one_gives_way(stop_road) -> None:
     assert broken(record_of(slow, late), stop_road) == ([], ["right_of_way"])
 
 
-def test_who_has_not_reached_the_junction_has_not_joined_there(road) -> None:
-    """Joined before where the target was the one that had passed it, and so did not give way, too.
+def test_a_vehicle_that_has_not_reached_the_junction_has_not_joined_there(road) -> None:
+    """Only the target has passed the junction, so their ways did not join there.
 
-    "wrong" comes from the east, leaves the junction on the lane for eastward traffic at 4.5 s and meets "on", 12 m
-    before the junction, head-on.
+    "wrong" comes from the east, leaves the junction on the lane for eastward traffic at 4.5 s and meets "on" head-on,
+    12 m before the junction.
     """
     steps = np.arange(61)
     left = np.minimum(5.6, np.maximum(0.0, 0.2 * (steps - 20)))  # from y = 1.6 over to -4 between 2 and 4.8 s
@@ -199,7 +199,7 @@ def test_who_has_not_reached_the_junction_has_not_joined_there(road) -> None:
 
 
 def test_both_ends_of_long_vehicles_meet_on_the_junction(road) -> None:
-    """Only where the first of the two had passed it were they on it before: the middle of neither is."""
+    """Their centres are not on the junction at the contact, whichever party comes first in the record."""
     west = straight("west", (33.5, 5.3), math.pi, 14.2, steps=41, size=(12.0, 2.5))
     south = straight("south", (-2.5, 54.2), -NORTH, 14.0, steps=41, size=(12.0, 2.5))
     assert broken(record_of(west, south, route=("EC", "CW")), road) == ([], ["right_of_way"])
@@ -218,8 +218,8 @@ def test_oncoming_vehicle_on_the_targets_side(road) -> None:
     assert broken(both, road) == (["wrong_side"], ["wrong_side"])
 
 
-def test_who_swerves_away_from_an_oncoming_vehicle_has_kept_its_side(road) -> None:
-    """Called at fault before: the target left its lane, to the right, only to get out of the way."""
+def test_swerving_away_from_an_oncoming_vehicle_is_keeping_to_the_side(road) -> None:
+    """The target leaves its lane to the right only to avoid the oncoming vehicle."""
     coming = driven("coming", (-80, 1.6), math.pi, np.full(41, 12.0), left=np.linspace(0, 6.4, 41))
     dodge = np.clip((0.1 * np.arange(41) - 1.8) * -2.0, -2.4, 0.0)
     ego = driven("ego", (-150, -1.6), 0, np.full(41, 12.0), left=dodge)
@@ -235,7 +235,7 @@ def test_overtaking_on_the_wrong_side_and_hit_from_behind_there(road) -> None:
 
 
 def test_a_lorry_that_follows_its_lane_over_a_junction_keeps_its_side(road) -> None:
-    """Its bumpers keep to the middle of the lane that turns left, so its long box reaches out of it."""
+    """Its bumpers keep to the centre of the lane that turns left, so its long box reaches out of it."""
     names = ("EC_1", "CS_0")
     link = next(x for x in road.lanes[names[0]].successors if x.to_lane == names[1])
     line = concatenate([road.lanes[x].line for x in (link.from_lane, *link.via, link.to_lane)])
@@ -262,7 +262,7 @@ def test_unsafe_and_safe_lane_entries(road) -> None:
     assert broken(record_of(roomy, slow_ego), road) == ([], ["ran_into"])
 
 
-def test_an_entry_that_the_gap_recovered_from_did_not_lead_to_it(road) -> None:
+def test_an_entry_did_not_lead_to_the_collision_if_the_gap_recovered(road) -> None:
     # 6 m ahead at 12 m/s each (9 m needed) it enters, draws away, and brakes gently 2 s later
     steps = 81
     t = 0.1 * np.arange(steps)
@@ -273,7 +273,7 @@ def test_an_entry_that_the_gap_recovered_from_did_not_lead_to_it(road) -> None:
 
 
 def test_a_cut_in_that_ends_in_the_side_is_a_cut_in(road) -> None:
-    """Called `side` and `unclear` before: the target dodges, and is hit by the flank of the one that cut in."""
+    """The target swerves, and is hit by the side of the vehicle that cut in."""
     steps = 41
     t = 0.1 * np.arange(steps)
     cutter = driven(
@@ -303,8 +303,8 @@ def test_both_drift_into_each_other(road) -> None:
     assert broken(record_of(left, right), road) == (["sideways"], ["sideways"])
 
 
-def test_who_follows_over_a_junction_is_not_cut_into(road) -> None:
-    """Called at fault before: the leader passes on to the next lane first, and was taken to enter it."""
+def test_a_leader_on_a_junction_does_not_cut_in(road) -> None:
+    """The leader reaches the next lane first; that is no entry into the lane of the follower."""
     lead = straight("lead", (-16, -1.6), 0, 9, steps=61)
     chaser = straight("chaser", (-45, -1.6), 0, 15, steps=61)
     assert broken(record_of(lead, chaser), road) == ([], ["ran_into"])
@@ -322,8 +322,8 @@ def test_a_slow_pedestrian_far_ahead_and_one_that_runs_out(road) -> None:
 
 
 @pytest.mark.parametrize("name", ["C", "north_c"])
-def test_running_into_somebody_on_a_crossing_and_beyond_it(tmp_path, name) -> None:
-    """Beyond it was on it before where the junction's name held "_c", as crossings' names do."""
+def test_running_into_a_pedestrian_on_a_crossing_and_beyond_it(tmp_path, name) -> None:
+    """The name of a junction may contain "_c", as those of crossings do."""
     nodes, edges = (
         NODES.format(kind="priority").replace('"C"', f'"{name}"'),
         EDGES.replace('"C"', f'"{name}"'),
@@ -347,7 +347,7 @@ CYCLE_LANES = """<edges>
 
 
 def test_a_cyclist_on_its_own_lane_is_not_out_of_one(tmp_path) -> None:
-    """Called out of its lane before, or against it: it was put onto the lane for cars beside.
+    """The bicycle lane counts, not the parallel lane for cars.
 
     From north to south: bicycles westward around y = 0.75, cars around -1.6, bicycles eastward around -3.95.
     """
@@ -377,7 +377,7 @@ def test_a_cyclist_on_its_own_lane_is_not_out_of_one(tmp_path) -> None:
 # --- running into somebody -------------------------------------------------------------------------------
 
 
-def test_running_into_who_stands_or_brakes_as_expected(road) -> None:
+def test_running_into_a_vehicle_that_stands_or_brakes_as_expected(road) -> None:
     ego, still = straight("ego", (-100, -1.6), 0, 15), straight("still", (-80, -1.6), 0, 0)
     assert broken(record_of(ego, still), road) == (["ran_into"], [])
     assert broken(record_of(still, ego), road) == ([], ["ran_into"])
@@ -399,7 +399,7 @@ def test_pushed_by_a_third_into_the_one_ahead(road) -> None:
 
 
 def test_a_target_that_stands_is_not_at_fault(road) -> None:
-    """Called at fault before: it crept at under 0.1 m within half a second as it was hit."""
+    """It moves by less than 0.1 m within half a second before it is hit."""
     ego = driven("ego", (-80, -4.8), 0, np.full(41, 0.08))
     cutter = straight("cutter", (-100, -1.6), 0, 10, drift=-1.5)
     assert blame(record_of(ego, cutter), road)[1] == "other"
@@ -408,7 +408,7 @@ def test_a_target_that_stands_is_not_at_fault(road) -> None:
 # --- conduct ---------------------------------------------------------------------------------------------
 
 
-def test_speeding_counts_for_who_closes_in(road) -> None:
+def test_speeding_counts_for_the_vehicle_that_closes_in(road) -> None:
     # the limit is 13.89 m/s, 1.2 times that 16.67 m/s
     lead = straight("lead", (-120, -1.6), 0, 8)
     for speed, expected in ((16.5, ["ran_into"]), (17.0, ["speeding", "ran_into"])):
@@ -477,12 +477,12 @@ def test_left_hand_traffic_is_the_mirror_image(road, left_road) -> None:
 
 
 def test_the_rules_hold_for_plans(road) -> None:
-    """A candidate future of a background vehicle, and what the target is expected to do, before it is driven."""
+    """A candidate future of a background vehicle and the expected motion of the target, not driven yet."""
     plan = record_of(
         straight("ego", (-150, -4.8), 0, 15), straight("bv", (-138, -1.6), 0, 10, drift=-2.0)
     ).tracks
     view = TrafficView(plan, road)
     (contact,) = tracks_collisions(plan, target=0)
-    met = encounter(view, contact)
-    assert [str(x.kind) for x in breaches_of(view, met, 1)] == ["unsafe_lane_entry"]
-    assert breaches_of(view, met, 0) == ()
+    case = encounter(view, contact)
+    assert [str(x.kind) for x in breaches_of(view, case, 1)] == ["unsafe_lane_entry"]
+    assert breaches_of(view, case, 0) == ()

@@ -1,4 +1,4 @@
-"""Collisions of whole records: once per contact, initial ones apart, speeds and faces, SUMO's list beside."""
+"""Collisions of whole records: one per contact, initial ones, speeds and faces, comparison with SUMO's list."""
 
 from __future__ import annotations
 

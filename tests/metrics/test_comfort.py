@@ -40,14 +40,14 @@ def test_circle_gives_lateral_acceleration(straight, record_of) -> None:
     assert ride.accel_max_mps2 == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_heading_that_snaps_is_spread(straight, record_of) -> None:
+def test_a_step_of_the_heading_is_smoothed(straight, record_of) -> None:
     car = straight("ego", (0, 0), 0, 10)
-    car.yaw_rad[20:] += 0.1  # a plain difference would say 1 rad/s and 10 m/s^2
+    car.yaw_rad[20:] += 0.1  # the difference quotient would be 1 rad/s and 10 m/s^2
     ride = comfort(record_of(car).tracks, 0)
     assert ride.yaw_rate_max_radps == pytest.approx(0.136, abs=0.002)
 
 
-def test_a_lane_change_in_no_time_breaks_the_stretch(straight, record_of) -> None:
+def test_an_instantaneous_lane_change_divides_the_record(straight, record_of) -> None:
     car = straight("ego", (0, 0), 0, 10)
     car.xy_m[20:, 1] += 3.2
     car.yaw_rad[20:] += 0.1
@@ -57,7 +57,7 @@ def test_a_lane_change_in_no_time_breaks_the_stretch(straight, record_of) -> Non
 
 @pytest.mark.parametrize("dt_s", [0.05, 0.1, 0.2, 0.5])
 def test_the_step_does_not_matter(straight, record_of, dt_s: float) -> None:
-    """Two seconds at 8 m/s²: over eleven instants of half a second it would be 5 m/s²."""
+    """Two seconds at 8 m/s²: a window of eleven instants, half a second apart, would give 5 m/s²."""
     t = dt_s * np.arange(round(6.0 / dt_s) + 1)
     speed = np.clip(20.0 - 8.0 * (t - 2.0), 4.0, 20.0)
     car = replace(straight("ego", (0, 0), 0, 10, steps=len(t)), speed_mps=speed)

@@ -29,7 +29,7 @@ CASES = [
 
 
 def roundabout(folder, lefthand: bool) -> RoadMap:
-    """Make a roundabout with one way in, IW, and one out, SO; whoever comes in gives way."""
+    """Make a roundabout with one entry, IW, and one exit, SO; entering vehicles give way."""
     side = -1 if lefthand else 1
     nodes = "".join(f'<node id="{n}" x="{x}" y="{side * y}"/>' for n, (x, y) in _RING.items())
     arcs = (

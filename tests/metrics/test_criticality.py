@@ -27,8 +27,8 @@ def test_ttc_of_two_seconds(straight, record_of) -> None:
     assert np.isnan(ttc[0]).all()
 
 
-def test_a_lane_change_in_no_time_tells_no_speed(straight, record_of) -> None:
-    """From 4.4 m apart sideways to 1.2 m within a step: at 16 m/s it would meet the target in 0.275 and 0.075 s."""
+def test_an_instantaneous_lane_change_gives_no_velocity(straight, record_of) -> None:
+    """The lateral distance falls from 4.4 to 1.2 m in one step; 16 m/s would give a TTC of 0.275 and 0.075 s."""
     beside = straight("beside", (2, 6.4), 0, 10)
     beside.xy_m[20:, 1] -= 3.2
     record = record_of(straight("ego", (0, 0), 0, 10), beside)
@@ -39,7 +39,7 @@ def test_a_lane_change_in_no_time_tells_no_speed(straight, record_of) -> None:
     assert (row, np.flatnonzero(snaps(record.tracks)[1]).tolist()) == ([1], [19])
 
 
-def test_who_changes_lanes_twice_in_no_time_has_its_speed_along_its_heading(straight, record_of) -> None:
+def test_two_instantaneous_lane_changes_leave_the_speed_along_the_heading(straight, record_of) -> None:
     other = straight("other", (2, 6.4), 0, 10)
     other.xy_m[20:, 1] -= 3.2
     other.xy_m[21:, 1] += 3.2
@@ -48,10 +48,10 @@ def test_who_changes_lanes_twice_in_no_time_has_its_speed_along_its_heading(stra
     assert velocity[1, 19:22].tolist() == [pytest.approx([x, 0.0]) for x in (10.0, 9.0, 10.0)]
 
 
-def test_an_oncoming_car_that_sumo_changes_the_lane_of_does_not_come_nearer(
+def test_an_instantaneous_lane_change_of_an_oncoming_car_is_no_approach(
     tmp_path, straight, record_of
 ) -> None:
-    """Without sublanes: from y = 4.8 to 1.6 in a step, 6 m before a standing car at y = -1.6; that was 0.1 s."""
+    """Without sublanes: from y = 4.8 to 1.6 in one step, 6 m before a standing car at y = -1.6."""
     poses = []
     with nets.stage(nets.street(tmp_path), sublane_m=0.0) as stage:
         stage.add("other", ["MW"], at=70.0, speed=10.0)
@@ -72,7 +72,7 @@ def test_an_oncoming_car_that_sumo_changes_the_lane_of_does_not_come_nearer(
     assert np.isinf(time_to_collision(tracks, 0)[1]).all()
 
 
-def test_a_quick_lane_change_counts_sideways(straight, record_of) -> None:
+def test_a_quick_lane_change_counts_as_lateral_motion(straight, record_of) -> None:
     """Sideways at 4 m/s, 2.4 m apart: 0.6 s."""
     beside = straight("beside", (2, 4.4), 0, 10, drift=-4.0, steps=2)
     tracks = record_of(straight("ego", (0, 0), 0, 10, steps=2), beside).tracks
@@ -115,8 +115,8 @@ def test_leader_beyond_the_junction_counts_and_the_next_lane_does_not(straight, 
     assert np.isinf(following(record.tracks, 0, road, ("WC", "CE")).time_to_collision()[1, 0])
 
 
-def test_who_stands_beside_the_lane_is_not_ahead_in_it(straight, record_of, road) -> None:
-    """Counted before: DRAC rose to 7200 m/s² at whoever stood on the pavement. The lane reaches down to y = -6.4."""
+def test_a_vehicle_standing_beside_the_lane_is_not_ahead_in_it(straight, record_of, road) -> None:
+    """Otherwise DRAC would be large for pedestrians on the pavement. The lane reaches down to y = -6.4."""
     record = record_of(
         straight("ego", (-150, -4.8), 0, 12, steps=2),
         straight("pavement", (-100, -8.5), 0, 0, steps=2, size=(0.6, 0.6)),
@@ -130,8 +130,8 @@ def test_who_stands_beside_the_lane_is_not_ahead_in_it(straight, record_of, road
     assert gap[3, 0] == pytest.approx(46.0)
 
 
-def test_who_comes_against_the_lane_closes_in_by_both_speeds(straight, record_of, road) -> None:
-    """Taken to drive on ahead before: at equal speeds nobody closed in, and the lane TTC was empty."""
+def test_an_oncoming_vehicle_in_the_lane_closes_in_at_the_sum_of_speeds(straight, record_of, road) -> None:
+    """It counts as approaching, not as a leader of the same speed."""
     ego, wrong = straight("ego", (-150, -4.8), 0, 12), straight("wrong", (-98, -4.8), math.pi, 8)
     ahead = following(record_of(ego, wrong).tracks, 0, road, ("WC", "CE"))
     assert ahead.closing_mps[1, 0] == pytest.approx(20.0)
@@ -139,8 +139,10 @@ def test_who_comes_against_the_lane_closes_in_by_both_speeds(straight, record_of
     assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(400.0 / 96.0)
 
 
-def test_who_is_passed_within_the_lane_is_ahead_until_the_bumpers_meet(straight, record_of, road) -> None:
-    """A motorcycle at the lane's edge, 0.4 m clear to the side; DRAC was 800 m/s² beside it, the lane TTC 0."""
+def test_a_vehicle_passed_within_the_lane_is_ahead_until_the_bumpers_are_level(
+    straight, record_of, road
+) -> None:
+    """A motorcycle at the lane's edge with a lateral gap of 0.4 m; side by side it requires no braking."""
     car = straight("ego", (-150, -2.2), 0, 12, size=(4.0, 1.8))  # from y = -3.1 to -1.3
     slow = straight("motorcycle", (-140, -0.5), 0, 8, size=(2.0, 0.8))  # up from y = -0.9
     record = record_of(car, slow)
@@ -155,8 +157,8 @@ def test_who_is_passed_within_the_lane_is_ahead_until_the_bumpers_meet(straight,
     assert (row["min_ttc_s"], row["max_drac_mps2"]) == (None, pytest.approx(40.0))
 
 
-def test_up_to_a_contact_from_behind_the_gap_goes_down_to_nothing(straight, record_of, road) -> None:
-    """8 m at 4 m/s: contact at 2.0 s, and 0.4 m at 4 m/s an instant before."""
+def test_the_gap_decreases_to_zero_until_a_rear_end_contact(straight, record_of, road) -> None:
+    """8 m at 4 m/s: contact at 2.0 s; one instant before, 0.4 m at 4 m/s."""
     ego, lead = straight("ego", (-150, -1.6), 0, 12), straight("lead", (-138, -1.6), 0, 8)
     row = episode_row(record_of(ego, lead), road)
     assert row["collision_time_s"] == pytest.approx(2.0)

@@ -1,4 +1,4 @@
-"""Fault and breaches where two ways lead onto one street: with a lane of their own each, or onto one lane."""
+"""Fault and breaches where two ways lead onto one street: onto separate lanes, or onto one lane."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def ramp(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 
 @pytest.mark.parametrize("cutter_mps", [18.0, 20.0, 22.0])
-def test_who_cuts_in_from_the_lane_that_a_ramp_adds_entered_a_lane(ramp, cutter_mps) -> None:
-    """The ways do not meet at the ramp's end. The target was blamed for not giving way, the cutter for nothing.
+def test_a_cut_in_from_a_lane_added_by_a_ramp_is_a_lane_entry(ramp, cutter_mps) -> None:
+    """The ways do not meet at the ramp's end, so the rule is not giving way.
 
-    The cutter passes the ramp's end at 1 s and moves left from 2.5 s on, 1.6 m/s. Its side is 0.3 m over the line at
-    y = -6.4 by 3.1 s, where 6 m and what closes in 0.2 s are left, and 0.75 * 26 + (26² - v²) / 12 > 35 m are needed.
+    The cutter passes the ramp's end at 1 s and moves left at 1.6 m/s from 2.5 s on. Its side is 0.3 m over the line at
+    y = -6.4 by 3.1 s. The gap is then 6 m plus what closes in 0.2 s; 0.75 * 26 + (26² - v²) / 12 > 35 m are needed.
     """
     t = DT_S * np.arange(81)
     (path, *_) = ramp.lane_path(("RB", "BC"), "RB_0", 600.0, vclass=None)
@@ -43,9 +43,9 @@ def test_who_cuts_in_from_the_lane_that_a_ramp_adds_entered_a_lane(ramp, cutter_
 
 
 def turning_in(road: RoadMap, beyond_m: float, speed_mps: float, ego_mps: float = 13.0) -> tuple[Car, Car]:
-    """Return an eastward car and one that turns right out of SC_0 before it.
+    """Return an eastward car and one that turns right out of SC_0 ahead of it.
 
-    At 4 s the centre of the second is *beyond_m* beyond the junction, and the front of the first is at its rear.
+    At 4 s the centre of the second is *beyond_m* beyond the junction, and the front of the first reaches its rear.
     """
     (path, *_) = road.lane_path(("SC", "CE"), "SC_0", 400.0, start_s_m=100.0, vclass=None)
     s_m = path.links[0].end_s_m + beyond_m + speed_mps * (DT_S * np.arange(61) - 4.0)
@@ -55,10 +55,10 @@ def turning_in(road: RoadMap, beyond_m: float, speed_mps: float, ego_mps: float 
 
 
 @pytest.mark.parametrize("beyond_m", [2.0, 5.0, 8.0, 12.0])
-def test_who_runs_a_red_light_and_is_hit_beyond_the_junction_is_at_fault(light_road, beyond_m) -> None:
-    """The target was, once the other's centre had left the junction: as if it had followed it.
+def test_a_red_light_runner_hit_beyond_the_junction_is_at_fault(light_road, beyond_m) -> None:
+    """It joined with too small a gap, so the target is no ordinary follower.
 
-    The one that turns joins at 7 m/s with 17 m at most; 0.75 * 13 + (13² - 7²) / 12 = 19.8 m are needed at least.
+    The turning car joins at 7 m/s with a gap of at most 17 m; 0.75 * 13 + (13² - 7²) / 12 = 19.8 m are needed at least.
     """
     ego, turns = turning_in(light_road, beyond_m, 7.0)
     signals = signals_of(light_road, {("SC_0", "CE_0"): "r", ("WC_0", "CE_0"): "G"}, 61)
@@ -70,13 +70,13 @@ def test_who_runs_a_red_light_and_is_hit_beyond_the_junction_is_at_fault(light_r
     assert exchanged[1:] == ("target", ["red_light"], [])
 
 
-def test_who_takes_the_way_and_is_hit_beyond_the_junction_is_at_fault(road) -> None:
+def test_a_vehicle_that_failed_to_give_way_and_is_hit_beyond_the_junction_is_at_fault(road) -> None:
     ego, turns = turning_in(road, 8.0, 7.0)
     expected = ("rear_end_striking", "other", [], ["right_of_way"])
     assert findings(record_of(ego, turns), road) == expected
 
 
-def test_who_joins_with_the_safe_gap_is_a_leader_beyond_the_junction(road) -> None:
-    """At 5 m/s it is across the lane at 1.1 s, 24.6 m ahead; 0.75 * 13 + 13² / 12 = 23.8 m are needed at most."""
+def test_a_vehicle_that_joined_with_the_safe_gap_is_a_leader_beyond_the_junction(road) -> None:
+    """At 5 m/s it is in the lane at 1.1 s, 24.6 m ahead; 0.75 * 13 + 13² / 12 = 23.8 m are needed at most."""
     ego, turns = turning_in(road, 8.0, 5.0)
     assert findings(record_of(ego, turns), road)[:2] == ("rear_end_striking", "target")

@@ -1,6 +1,6 @@
-"""By which connection somebody is taken to enter a junction, on the shipped downtown.
+"""The connection by which a vehicle enters a junction, on the shipped net of a downtown.
 
-Its junction D4 has, from edge D5-D4.1, a lane that goes straight (to D4-D3_1) and one beside that turns left.
+Its junction D4 has, from edge D5-D4.1, a lane that goes straight (to D4-D3_1) and a parallel one that turns left.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def downtown(networks: Path) -> RoadMap:
 
 
 def view_of(road: RoadMap, lanes: list[str]) -> TrafficView:
-    """Return a car in the middle of each of *lanes*, one after the other."""
+    """Return the view of a car that is in the middle of each of *lanes*, one per instant."""
     poses = [road.lanes[name].line.at(0.5 * road.lanes[name].length_m) for name in lanes]
     steps = len(lanes)
     tracks = Tracks(
@@ -48,13 +48,13 @@ def view_of(road: RoadMap, lanes: list[str]) -> TrafficView:
         (LEFT, "D4-E4_0", "l"),  # it moves over at the line
     ],
 )
-def test_who_moves_over_at_the_line_takes_the_connection_that_it_drives(
+def test_a_lane_change_at_the_line_counts_as_the_driven_connection(
     downtown: RoadMap, inside: str, to_lane: str, direction: str
 ) -> None:
     [entry] = junction_entries(view_of(downtown, [APPROACH, inside, to_lane]), 0)
     assert (entry.link.to_lane, entry.link.direction) == (to_lane, direction)
 
 
-def test_who_is_seen_on_neither_takes_the_one_of_its_lane(downtown: RoadMap) -> None:
+def test_without_a_recorded_connection_that_of_the_lane_counts(downtown: RoadMap) -> None:
     [entry] = junction_entries(view_of(downtown, [APPROACH, ":D4_10_0"]), 0)
     assert entry.link.from_lane == APPROACH

@@ -60,7 +60,7 @@ def test_cut_in_with_too_small_a_gap_is_the_others_fault(straight, record_of, ro
     assert (kind, fault) == ("cut_in", "target")
 
 
-def test_who_came_into_view_lately_cuts_in_like_anybody_else(straight, record_of, road) -> None:
+def test_a_vehicle_that_appeared_recently_can_cut_in(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 15)
     cutter = straight("cutter", (-138, -1.6), 0, 10, drift=-2.0)
     cutter.xy_m[:3] = np.nan  # there from 0.3 s on, in the lane from 0.5 s on: 5.5 m ahead, 21.7 m needed
@@ -87,7 +87,7 @@ def test_a_lane_entered_long_ago_makes_no_cut_in(straight, record_of, road) -> N
     assert outcome(record_of(ego, lead), road)[:2] == ("rear_end_striking", "target")
 
 
-def test_sideswipe_is_the_fault_of_who_drifts(straight, record_of, road) -> None:
+def test_a_sideswipe_is_the_fault_of_the_drifting_vehicle(straight, record_of, road) -> None:
     steady, drifting = (
         straight("steady", (-150, -1.6), 0, 12),
         straight("drifting", (-150, -4.8), 0, 12, drift=1),
@@ -96,7 +96,7 @@ def test_sideswipe_is_the_fault_of_who_drifts(straight, record_of, road) -> None
     assert outcome(record_of(drifting, steady), road)[:2] == ("side", "target")
 
 
-def test_head_on_is_the_fault_of_who_left_its_side(straight, record_of, road) -> None:
+def test_head_on_is_the_fault_of_the_vehicle_that_left_its_side(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -1.6), 0, 12)
     coming = straight("coming", (-80, 1.6), math.pi, 12, drift=1.0)
     assert outcome(record_of(ego, coming), road)[:2] == ("head_on", "other")
@@ -109,8 +109,10 @@ def test_head_on_with_both_over_the_line_is_unclear(straight, record_of, road) -
     assert outcome(record_of(ego, coming), road)[:2] == ("head_on", "unclear")
 
 
-def test_who_hits_with_its_front_where_both_are_out_of_their_lanes(straight, record_of, road) -> None:
-    """Unclear before, where the page says who hit with its front: no lane is within 20 m of the two."""
+def test_if_both_left_their_lanes_the_one_that_hits_with_its_front_is_at_fault(
+    straight, record_of, road
+) -> None:
+    """No lane is within 20 m of the two."""
     ego, out = straight("ego", (-100, -40), 0, 10), straight("out", (-70, -60), NORTH, 6.5)
     reason = "The target ran into the side of 'out' with its front."
     assert outcome(record_of(ego, out), road) == ("side", "target", reason)
@@ -133,8 +135,8 @@ def test_wrong_way(straight, record_of, road) -> None:
     assert outcome(record_of(wrong, ego), road)[1] == "target"
 
 
-def test_rules_of_lanes_do_not_bind_who_walks(straight, record_of, road) -> None:
-    """Blamed before for walking against the lane beside which, or over which, they went. The lane ends at y = -6.4."""
+def test_lane_rules_do_not_apply_to_pedestrians(straight, record_of, road) -> None:
+    """They walk beside or across a lane, against its direction. The lane ends at y = -6.4."""
     ego = straight("ego", (-150, -4.8), 0, 12, steps=51)
     pavement = replace(
         straight("walker", (-100, -7.2), math.pi, 1.3, steps=51, size=(0.6, 0.6)),
@@ -210,8 +212,8 @@ def test_all_way_stop_goes_to_the_first(straight, record_of, stop_road) -> None:
     assert outcome(record_of(late, slow, route=("SC", "CN")), stop_road)[1] == "target"
 
 
-def test_who_comes_first_is_told_by_the_fronts(straight, record_of, stop_road) -> None:
-    """By the middles before: a bus came 1.1 s later than a car that it came 0.5 s before.
+def test_the_fronts_decide_which_vehicle_comes_first(straight, record_of, stop_road) -> None:
+    """The centre of the bus comes 1.1 s after that of the car, but its front comes 0.5 s before the car's.
 
     The lines lie at x = -7.2 and y = -10.4. The front of the bus passes at 0.5 s, that of the car at 1.0 or 2.0 s.
     """
@@ -245,8 +247,8 @@ def test_leaving_the_road_is_the_targets_fault(straight, record_of, road) -> Non
 
 
 @pytest.mark.parametrize("agent_class", [AgentClass.PEDESTRIAN, AgentClass.BICYCLE])
-def test_who_walks_or_cycles_may_leave_the_road(straight, record_of, road, agent_class) -> None:
-    """As a target, such as one of a log, they failed by going onto the pavement."""
+def test_pedestrians_and_bicycles_may_leave_the_road(straight, record_of, road, agent_class) -> None:
+    """Also as the target, such as one of a log."""
     small = straight("small", (-150, -4.8), 0, 5, drift=-1.0, size=(1.8, 0.6))
     record = record_of(replace(small, agent_class=agent_class))
     assert target_leaves_road(record, road) is None

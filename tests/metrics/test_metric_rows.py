@@ -1,4 +1,4 @@
-"""Rows fit their columns, progress is measured, and nothing is NaN."""
+"""Rows match their columns, progress is measured, and no value is NaN."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_rows_of_a_collision(straight, record_of, road) -> None:
     ]
 
 
-def test_what_the_simulation_counted_is_passed_on(straight, record_of, road) -> None:
+def test_counts_of_the_simulation_are_passed_on(straight, record_of, road) -> None:
     record = replace(record_of(straight("ego", (-150, -1.6), 0, 10)), rough_handovers=2, skipped_agents=3)
     row = episode_row(replace(record, safeguarded=(4, 90), implausible=(2, "it steers")), road)
     assert (row["implausible_plans"], row["implausible_plan"]) == (2, "it steers")
@@ -116,7 +116,7 @@ def test_comfort_and_criticality_end_at_the_collision(straight, record_of, road)
     assert metrics.criticality.drac_mps2 == pytest.approx(25.0, rel=1e-3)
 
 
-def test_descriptions_and_units_are_there() -> None:
+def test_all_columns_have_descriptions_and_units() -> None:
     for name, column in {**EPISODE_COLUMNS, **COLLISION_COLUMNS}.items():
         assert column.dtype in TYPES
         assert column.description
@@ -157,7 +157,7 @@ def test_metrics_do_not_change_when_other_rows_are_reordered(straight, record_of
 
 
 @pytest.mark.parametrize("columns", [EPISODE_COLUMNS, COLLISION_COLUMNS])
-def test_what_an_earlier_version_did_not_write_is_unknown(columns: dict[str, Column]) -> None:
+def test_columns_missing_in_earlier_versions_are_unknown(columns: dict[str, Column]) -> None:
     unknown = {name for name, column in columns.items() if "earlier versions" in column.description}
     assert unknown <= LATER_COLUMNS
     whole = schema_of(columns).empty_table()

@@ -12,7 +12,7 @@ from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, stra
 
 
 def bend(name: str, xy: tuple[float, float], yaw: float, speed: float, radius: float, steps: int) -> Car:
-    """Return a car on a circle of *radius* m, to the left where it is positive."""
+    """Return a car on a circle of *radius* m, which turns left if the radius is positive."""
     turn = speed / radius * DT_S * np.arange(steps)
     left = np.array([-np.sin(yaw), np.cos(yaw)])
     ahead = np.array([np.cos(yaw), np.sin(yaw)])
@@ -20,23 +20,23 @@ def bend(name: str, xy: tuple[float, float], yaw: float, speed: float, radius: f
     return Car(name, path, yaw + turn, np.full(steps, speed))
 
 
-def test_nobody_near_is_no_near_miss(road) -> None:
+def test_no_near_miss_without_a_vehicle_near(road) -> None:
     assert (
         near_miss(record_of(straight("ego", (-150, -1.6), 0, 10), straight("far", (-90, -1.6), 0, 10)), road)
         is None
     )
 
 
-def test_who_appears_where_the_target_is_gives_no_near_miss(road) -> None:
-    """Braking at 9 m/s² was asked for: they overlap by 0.5 m from 3 s on, which is an initial contact."""
+def test_a_vehicle_that_appears_on_the_target_is_no_near_miss(road) -> None:
+    """They overlap by 0.5 m from 3 s on, which is an initial contact, not a near miss that needs 9 m/s²."""
     ego = straight("ego", (-150, -4.8), 0, 10, steps=81)
     appears = straight("appears", (-146.5, -4.8), 0, 10, steps=81)
     appears.xy_m[:30] = np.nan
     assert near_miss(record_of(ego, appears), road) is None
 
 
-def test_who_appears_there_and_draws_away_may_give_one_later(road) -> None:
-    """6 m/s faster it is 8.5 m ahead by 4.5 s, and stands 20 m on at 7 s; the target brakes late: 25.3 of 28.5 m."""
+def test_a_vehicle_that_appears_on_the_target_and_separates_may_be_a_near_miss_later(road) -> None:
+    """It is 6 m/s faster, 8.5 m ahead by 4.5 s, and stands 20 m farther at 7 s. The target brakes late: 25.3 of 28.5 m."""
     t = DT_S * np.arange(91)
     speed = np.where(t < 4.5, 16.0, np.maximum(0.0, 16.0 - 6.4 * (t - 4.5)))
     appears = driven("appears", (-146.5 - 18.0, -4.8), 0, speed)
@@ -56,7 +56,7 @@ def test_gentle_braking_behind_a_leader_is_not_critical(road) -> None:
     assert found is None or not found.critical
 
 
-def test_a_cut_in_that_the_target_brakes_for_at_the_last_moment(road) -> None:
+def test_a_cut_in_for_which_the_target_brakes_at_the_last_moment(road) -> None:
     # 8 m ahead and 8 m/s slower: closing 8 m/s in 0.75 s leaves 2 m or less; 8²/2/2 = 16 m/s² would be needed
     steps = 61
     cutter = driven(
@@ -70,7 +70,7 @@ def test_a_cut_in_that_the_target_brakes_for_at_the_last_moment(road) -> None:
     assert found.resolved_by is ResolvedBy.TARGET
 
 
-def test_the_other_resolves_it(road) -> None:
+def test_the_other_resolves_the_near_miss(road) -> None:
     # 12 m ahead it comes 1.2 m into the lane at 6 m/s against 13, and leaves it again after a second
     steps = 61
     t = 0.1 * np.arange(steps)
@@ -81,14 +81,14 @@ def test_the_other_resolves_it(road) -> None:
     assert found.resolved_by is ResolvedBy.OTHER
 
 
-def test_who_comes_up_behind_a_standing_target_is_not_critical(road) -> None:
+def test_a_vehicle_approaching_behind_a_standing_target_is_not_critical(road) -> None:
     # 26 m bumper to bumper, braking 8²/2/1.6 = 20 m from 8 m/s on; at its start the time to collision is 26/8 s = 3.2
     # s, after 1 s 18/8 = 2.2 s: near, but the target stands
     behind = driven("behind", (-50, -1.6), 0, braking(8, 1.0, 2.0, 61))
     assert near_miss(record_of(straight("ego", (-20, -1.6), 0, 0.0, steps=61), behind), road) is None
 
 
-def test_who_comes_up_behind_a_moving_target_is_not_critical(road) -> None:
+def test_a_vehicle_approaching_behind_a_moving_target_is_not_critical(road) -> None:
     # 16 m behind and 10 m/s faster: 1.6 s; braking at 6 m/s² it loses them within 8.3 m
     behind = driven("behind", (-70, -1.6), 0, np.maximum(5.0, braking(15, 0.3, 6.0, 61)))
     found = near_miss(record_of(straight("ego", (-50, -1.6), 0, 5.0, steps=61), behind), road)
@@ -118,7 +118,7 @@ def test_a_leader_that_brakes_hard(road, gap_m, least, most) -> None:
     assert found.resolved_by is ResolvedBy.TARGET
 
 
-def test_steering_round_the_leader_does_not_make_it_harmless(road) -> None:
+def test_steering_around_the_leader_does_not_make_it_uncritical(road) -> None:
     # As the leader of above, but the target, which brakes less, swerves 3.2 m to the left within a second
     t = DT_S * np.arange(61)
     left = np.clip(3.2 * (t - 1.8), 0.0, 3.2)
@@ -131,7 +131,7 @@ def test_steering_round_the_leader_does_not_make_it_harmless(road) -> None:
 
 
 def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
-    # The leader of above asks for 5 m/s²; somebody oncoming in its bend would have been met sooner, going straight
+    # The leader as above needs 5 m/s². An oncoming car in its bend would be met sooner if it went straight on.
     ego = driven("ego", (-150, -1.6), 0, braking(12, 1.2, 7.0, 61))
     lead = driven("lead", (-146 + 14.4, -1.6), 0, braking(12, 0.5, 8.0, 61))
     oncoming = bend("oncoming", (-128, 3.6), np.pi + 0.35, 8.0, -30.0, 61)
@@ -144,7 +144,7 @@ def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
     assert found.critical
 
 
-def test_somebody_who_drives_into_the_side_is_not_answered_by_braking(road) -> None:
+def test_a_vehicle_driving_into_the_side_is_not_critical(road) -> None:
     # It drifts at 4 m/s into the side of the target, whose front is beside it at any braking, and stops short of it
     t = DT_S * np.arange(41)
     left = -np.minimum(2.6, 4.0 * np.maximum(0.0, t - 1.0))
@@ -153,8 +153,8 @@ def test_somebody_who_drives_into_the_side_is_not_answered_by_braking(road) -> N
     assert found is None or not found.critical
 
 
-def test_the_record_that_ends_before_anybody_resolved_it(road) -> None:
-    # 14 m behind one who stands, at 12 m/s: 1.2 s to the contact, and nobody does anything up to the end
+def test_a_record_that_ends_before_the_near_miss_is_resolved(road) -> None:
+    # 14 m behind a standing car at 12 m/s: 1.2 s to the contact, and neither reacts until the end
     ego = straight("ego", (-150, -1.6), 0, 12.0, steps=26)
     lead = straight("lead", (-150 + 30 + 4 + 14, -1.6), 0, 0.0, steps=26)
     found = near_miss(record_of(ego, lead), road)
@@ -164,8 +164,8 @@ def test_the_record_that_ends_before_anybody_resolved_it(road) -> None:
     assert resolved(ResolvedBy.TARGET) == "resolved by: target"
 
 
-def test_who_appears_at_the_last_instant_leaves_it_unresolved(road) -> None:
-    """Said before to have resolved it: what it last did is not known, and NaN meets nobody."""
+def test_a_vehicle_that_appears_at_the_last_instant_leaves_it_unresolved(road) -> None:
+    """Its last motion is unknown, so it cannot have resolved the near miss."""
     ego, lead = (
         straight("ego", (-150, -1.6), 0, 12.0),
         straight("lead", (-94, -1.6), 0, 0.0),

@@ -1,4 +1,4 @@
-"""Rules that a target breaks while nobody is hit, on drives worked by hand over ``encounters.crossing``."""
+"""Rules that a target breaks without a collision, in hand-worked drives on the map of ``encounters.crossing``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def told(record, road) -> list[tuple[str, float]]:
 
 
 def lit(road, *letters: str):
-    """Return the signals of the eastward car, one letter an instant; the others have theirs green."""
+    """Return signals with one letter per instant for the eastward car; all others are green."""
     return tuple(signals_of(road, {WAY: letter}, 1)[0] for letter in letters)
 
 
@@ -46,12 +46,12 @@ def test_a_red_light_is_one_from_the_front_to_the_centre(light_road, green_s, ex
     assert told(record_of(EGO, signals=lit(light_road, *letters)), light_road) == expected
 
 
-def test_nothing_is_known_of_red_lights_without_signals_and_yellow_is_none(light_road) -> None:
+def test_there_are_no_red_light_offences_without_signals_or_on_yellow(light_road) -> None:
     assert told(record_of(EGO), light_road) == []
     assert told(record_of(EGO, signals=lit(light_road, *"y" * 41)), light_road) == []
 
 
-def test_who_stops_before_the_line_or_with_its_front_over_it_runs_no_red_light(light_road) -> None:
+def test_stopping_before_the_line_or_with_the_front_over_it_is_no_red_light_offence(light_road) -> None:
     red = lit(light_road, *"r" * 41)
     for x in (-30.0, -8.9):
         stands = straight("ego", (x, -1.6), 0, 0)
@@ -64,7 +64,7 @@ def test_offences_of_others_are_not_the_targets(light_road) -> None:
     assert told(record_of(far, other, signals=lit(light_road, *"r" * 41)), light_road) == []
 
 
-def test_speed_counts_above_a_fifth_over_the_limit_and_is_told_at_its_greatest(road) -> None:
+def test_speeding_counts_above_1_2_times_the_limit_and_is_reported_at_its_worst(road) -> None:
     # the limit is 13.89 m/s, a fifth more 16.67
     allowed = driven("ego", (-150, -1.6), 0, [16.6] * 41)
     assert told(record_of(allowed), road) == []
@@ -76,7 +76,7 @@ def test_speed_counts_above_a_fifth_over_the_limit_and_is_told_at_its_greatest(r
     )
 
 
-def test_a_reversing_car_is_told_once(road) -> None:
+def test_reversing_is_reported_once(road) -> None:
     backwards = driven("ego", (-50, -1.6), 0, [-1.0] * 41)
     assert [kind for kind, _ in told(record_of(backwards), road)] == ["reversing"]
     crept = driven("ego", (-50, -1.6), 0, [-0.15] * 41)  # 0.15 m a second: less than 0.2
@@ -85,21 +85,21 @@ def test_a_reversing_car_is_told_once(road) -> None:
 
 @pytest.mark.parametrize("begins", [2, 6, 7, 10, 14])
 def test_reversing_counts_whenever_it_begins(road, begins) -> None:
-    """0.35 m/s for 0.6 s: 0.21 m at the last of six instants, whether or not a whole second begins among them."""
+    """0.35 m/s for 0.6 s: 0.21 m at the last of six instants, also if a full second begins among them."""
     speed = np.zeros(41)
     speed[begins : begins + 6] = -0.35
     record = record_of(driven("ego", (-50, -1.6), 0, speed))
     assert told(record, road) == [("reversing", round(0.1 * (begins + 5), 1))]
 
 
-def test_speeds_that_jitter_are_no_reversing(road) -> None:
-    """0.05 m back and forth, as in logs of who stands: backwards 0.25 m in all within a second, but never far."""
+def test_noisy_speeds_are_no_reversing(road) -> None:
+    """0.05 m back and forth, as for standing vehicles in logs: 0.25 m backwards in total, but never far at once."""
     assert told(record_of(driven("ego", (-50, -1.6), 0, np.resize([-0.5, 0.5], 41))), road) == []
 
 
 @pytest.mark.parametrize("seconds", [1.0, 4.0])
 def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
-    """Over on the lane of the opposite direction at y = 1.6, from 1 s on, for *seconds*."""
+    """On the lane of the opposite direction at y = 1.6, from 1 s on, for *seconds*."""
     times = DT_S * np.arange(61)
     left = np.where((times >= 1.0) & (times < 1.0 + seconds), 3.2, 0.0)
     record = record_of(driven("ego", (-150, -1.6), 0, [8.0] * 61, left))
@@ -107,8 +107,8 @@ def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "expected"), [(1.4, []), (2.4, [("wrong_side", 0.8)])])
-def test_long_steps_do_not_make_it_count_sooner(road, seconds, expected) -> None:
-    """Every 0.2 s it is looked at every 0.4 s: 1.2 s, four looks, are not over 1.5 s."""
+def test_longer_steps_do_not_shorten_the_required_time(road, seconds, expected) -> None:
+    """With steps of 0.2 s it is checked every 0.4 s: 1.2 s, four checks, are less than 1.5 s."""
     times = DT_S * np.arange(61)
     left = np.where((times > 0.75) & (times < 0.8 + seconds), 3.2, 0.0)
     record = record_of(driven("ego", (-150, -1.6), 0, [8.0] * 61, left))
@@ -116,7 +116,7 @@ def test_long_steps_do_not_make_it_count_sooner(road, seconds, expected) -> None
     assert told(coarse, road) == expected
 
 
-def test_against_the_lane_is_the_wrong_side_and_nobody_who_walks_breaks_such_rules(road) -> None:
+def test_driving_against_the_lane_is_the_wrong_side_but_walking_is_not(road) -> None:
     against = straight("ego", (-60, -1.6), math.pi, 8)
     assert told(record_of(against), road) == [("wrong_side", 0.0)]
     walker = Car("ego", against.xy_m, against.yaw_rad, against.speed_mps, (0.5, 0.5), AgentClass.PEDESTRIAN)

@@ -1,4 +1,4 @@
-"""Least times to collision in a crowd, by hand and against the measure for one target."""
+"""Least times to collision among many agents, worked by hand and compared with the measure for one target."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CAR = (5.0, 2.0)
 
 
 def test_by_hand() -> None:
-    """Two meet head-on: 50 m between the bumpers at 20 m/s are 2.5 s; a third runs beside them; the last is absent."""
+    """Two meet head-on, 50 m between the bumpers at 20 m/s: 2.5 s. A third drives beside them; the last is absent."""
     xy = np.array([[0.0, 0.0], [55.0, 0.0], [0.0, 10.0], [5.0, 0.0]])
     yaw = np.array([0.0, np.pi, 0.0, 0.0])
     velocity = np.array([[10.0, 0.0], [-10.0, 0.0], [10.0, 0.0], [0.0, 0.0]])
@@ -58,7 +58,7 @@ def test_the_least_over_partners_is_that_of_the_measure_for_one_target() -> None
         np.testing.assert_allclose(own[:, row], others.min(axis=0), rtol=1e-9)
 
 
-def test_counts_have_a_bin_for_those_who_never_meet() -> None:
+def test_counts_have_a_bin_for_agents_that_never_meet() -> None:
     counts = ttc_counts(np.array([0.0, 0.4, 0.6, 10.0, np.inf, np.inf, np.nan]))
     assert len(counts) == len(TTC_BINS_S)
     assert (counts[0], counts[1], counts[-2], counts[-1]) == (2.0, 1.0, 1.0, 2.0)

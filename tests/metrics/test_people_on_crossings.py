@@ -1,4 +1,4 @@
-"""Contacts with people on the crossings of ``encounters.crossing``, which lie at x and y = ±8.4 m, worked by hand."""
+"""Hand-worked contacts with pedestrians on the crossings of ``encounters.crossing``, which lie at x and y = ±8.4 m."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ def foot_lights(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 0.4])
-def test_who_is_run_into_on_a_crossing_broke_no_rule(foot, pause_s) -> None:
-    """In the lane less than 0.75 * 8 + 8² / 12 = 11.3 m ahead of the target, on the crossing, x = 3.2 m, 1.7 s before.
+def test_a_pedestrian_hit_on_a_crossing_broke_no_rule(foot, pause_s) -> None:
+    """The pedestrian enters the lane less than 0.75 * 8 + 8² / 12 = 11.3 m ahead of the target.
 
-    That is 13.6 m ahead. Who pauses for less than a second before the car is still on its way.
+    It came onto the crossing (x = 3.2 m) 1.7 s before the contact, 13.6 m ahead. A pause of less than a second in front
+    of the car does not change that.
     """
     ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
     speeds = np.where((np.arange(81) * 0.1 >= 4.0) & (np.arange(81) * 0.1 < 4.0 + pause_s), 0.0, 1.0)
@@ -51,8 +52,8 @@ def test_who_is_run_into_on_a_crossing_broke_no_rule(foot, pause_s) -> None:
 
 
 @pytest.mark.parametrize("from_x_m", [7.0, 7.4])
-def test_who_walks_from_the_pavement_onto_a_crossing_too_late_is_to_blame(foot, from_x_m) -> None:
-    """Over the kerb at x = 3.2 m at 3.8 and 4.2 s, where a car that is there at 4.5 s can stop no more."""
+def test_a_pedestrian_that_walks_onto_a_crossing_too_late_is_at_fault(foot, from_x_m) -> None:
+    """They leave the kerb at x = 3.2 m at 3.8 and 4.2 s, when a car that is there at 4.5 s can no longer stop."""
     ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
     on = driven("on", (from_x_m, 8.4), math.pi, np.full(81, 1.0), **WALKER)
     kind, fault, own, other = findings(record_of(ego, on, route=ROUTE), foot)
@@ -61,7 +62,7 @@ def test_who_walks_from_the_pavement_onto_a_crossing_too_late_is_to_blame(foot, 
 
 
 @pytest.mark.parametrize(("stands_s", "fault"), [(2.2, "target"), (3.7, "other")])
-def test_who_steps_onto_a_crossing_too_late_is_to_blame(foot, stands_s, fault) -> None:
+def test_a_pedestrian_that_starts_onto_a_crossing_too_late_is_at_fault(foot, stands_s, fault) -> None:
     """At 8 m/s a car stops within 11.3 m, 1.4 s. The kerb is at x = 3.2 m; the car is at y = 8.4 m at 4.5 s."""
     ego = straight("ego", (1.6, -30), NORTH, 8, steps=81)
     speeds = np.where(np.arange(81) * 0.1 < stands_s, 0.0, 1.0)
@@ -71,25 +72,25 @@ def test_who_steps_onto_a_crossing_too_late_is_to_blame(foot, stands_s, fault) -
 
 
 def before_the_light(road: RoadMap, letter: str | None) -> EpisodeRecord:
-    """Return a car northward on *letter* at 10 m/s, and somebody who crosses before it; both are there at 3 s."""
+    """Return a northward car on *letter* at 10 m/s and a pedestrian that crosses before it; they meet at 3 s."""
     ego = straight("ego", (1.6, -8.4 - 2.0 - 30.0), NORTH, 10, steps=61)
     walker = driven("walker", (1.6 - 1.3 * 3.0, -8.4), 0.0, np.full(61, 1.3), **WALKER)
     signals = () if letter is None else signals_of(road, {("SC_1", "CN_1"): letter}, 61)
     return record_of(ego, walker, route=ROUTE, signals=signals)
 
 
-def test_who_is_run_into_by_somebody_on_red_broke_no_rule(foot_lights) -> None:
-    """In the lane at 1.8 s, 11.7 m ahead, where 0.75 * 10 + 10² / 12 = 15.8 m are needed."""
+def test_a_pedestrian_hit_by_a_red_light_runner_broke_no_rule(foot_lights) -> None:
+    """The pedestrian is in the lane at 1.8 s, 11.7 m ahead, where 0.75 * 10 + 10² / 12 = 15.8 m are needed."""
     expected = ("side", "target", ["red_light", "right_of_way"], [])
     assert findings(before_the_light(foot_lights, "r"), foot_lights) == expected
 
 
-def test_who_walks_before_a_protected_green_entered_the_lane(foot_lights) -> None:
+def test_a_pedestrian_in_front_of_a_protected_green_entered_the_lane(foot_lights) -> None:
     expected = ("side", "other", [], ["unsafe_lane_entry"])
     assert findings(before_the_light(foot_lights, "G"), foot_lights) == expected
 
 
-def test_without_signals_nobody_is_convicted_on_a_crossing_of_a_light(foot_lights) -> None:
+def test_without_signals_the_fault_on_a_crossing_with_a_light_is_unclear(foot_lights) -> None:
     record = before_the_light(foot_lights, None)
     assert findings(record, foot_lights) == ("side", "unclear", [], [])
     hit = target_collision(record, collisions(record))
@@ -97,7 +98,7 @@ def test_without_signals_nobody_is_convicted_on_a_crossing_of_a_light(foot_light
     assert "right of way (no signals recorded)" in judge(record, foot_lights, hit).not_judged
 
 
-def test_two_who_walk_into_each_other_on_a_crossing_owe_no_way(foot) -> None:
+def test_two_pedestrians_on_a_crossing_need_not_give_way_to_each_other(foot) -> None:
     one, other = (
         driven("one", (-3, 8.4), 0.0, np.full(61, 1.0), **WALKER),
         driven("other", (3, 8.4), math.pi, np.full(61, 1.0), **WALKER),

@@ -1,4 +1,4 @@
-"""What a check finds, by hand: one car per breach on a road wide enough for all."""
+"""Implausible motion worked by hand: one car per kind, on a road that is wide enough for all."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def found(
     begin: list[float],
     policy: bool = True,
 ) -> list[Implausibility]:
-    """Return the breaches of cars that drive along the longest lane, the first being the target."""
+    """Return the implausible motions of cars that drive along the longest lane; the first car is the target."""
     lane = max(
         (x for x in road.lanes.values() if not x.is_internal and x.permits("passenger")),
         key=lambda x: (x.length_m, x.id),
@@ -59,7 +59,7 @@ def test_ordinary_driving(road: RoadMap) -> None:
 
 
 def test_too_strong_an_acceleration_and_braking(road: RoadMap) -> None:
-    """6 m/s² where 4 are possible; 12 m/s² where 9 are."""
+    """6 m/s² where 4 m/s² are possible, and 12 m/s² where 9 m/s² are."""
     hard = np.maximum(20.0 - 12.0 * TIME, 0.0)
     what = found(road, [0.0, 2.0 + 6.0 * TIME, hard], [0.0, 0.0, 0.0], [0.0, 20.0, -60.0])
     told = {(x.vehicle, x.what): x.value for x in what}
@@ -69,14 +69,14 @@ def test_too_strong_an_acceleration_and_braking(road: RoadMap) -> None:
 
 
 def test_a_contact_and_a_drive_through(road: RoadMap) -> None:
-    """At 10 m/s into a standing car 20 m ahead: 16 m, 1.6 s; it drives on through it."""
+    """At 10 m/s into a standing car 20 m ahead, after 16 m, 1.6 s; it continues through it."""
     (hit,) = found(road, [0.0, 10.0, 0.0], [0.0, 0.0, 0.0], [-50.0, 10.0, 30.0])
     assert (hit.vehicle, hit.what, hit.other) == ("a", "drove through", "b")
     assert hit.time_s == pytest.approx(1.5, abs=0.11)
     assert hit.value == pytest.approx(2.0, abs=0.3)  # across is the shortest way out
 
 
-def test_contacts_with_the_target_are_what_a_run_is_for(road: RoadMap) -> None:
+def test_contacts_with_the_target_do_not_count(road: RoadMap) -> None:
     assert found(road, [0.0, 10.0], [0.0, 0.0], [30.0, 10.0]) == []
 
 
@@ -87,5 +87,5 @@ def test_off_the_road(road: RoadMap) -> None:
     assert what[0].value == pytest.approx(100.0)
 
 
-def test_what_sumo_drives_does_not_count(road: RoadMap) -> None:
+def test_vehicles_driven_by_sumo_do_not_count(road: RoadMap) -> None:
     assert found(road, [0.0, 2.0 + 6.0 * TIME], [0.0, 0.0], [-60.0, 20.0], policy=False) == []

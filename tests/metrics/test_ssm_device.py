@@ -1,6 +1,6 @@
-"""TTC, DRAC and PET beside those of SUMO's SSM device, which is told to log every instant.
+"""TTC, DRAC and PET compared with those of SUMO's SSM device, which logs every instant.
 
-https://sumo.dlr.de/docs/Simulation/Output/SSM_Device.html. Both look at the same vehicles, driven by libsumo at given
+https://sumo.dlr.de/docs/Simulation/Output/SSM_Device.html. Both evaluate the same vehicles, driven by libsumo at given
 speeds; tolerances are those of docs/metrics.md.
 """
 
@@ -30,7 +30,7 @@ MEASURES = ("TTC", "DRAC", "PET")
 
 
 class Drive:
-    """Two vehicles on a net, with the device on the target, and what both sides say of it."""
+    """Two vehicles on a net, with the device on the target, and the results of both."""
 
     def __init__(self, net: Path, width_m: float = nets.WIDTH_M) -> None:
         self.road, self.width_m = RoadMap.read(net), width_m
@@ -43,7 +43,7 @@ class Drive:
         starts: Mapping[str, tuple[list[str], float]],
         speeds: Mapping[str, FloatArray],
     ) -> None:
-        """Drive from (route, bumper's place) with the given speeds, one an instant."""
+        """Drive from (route, position of the bumper) with the given speeds, one per instant."""
         with nets.stage(self.road.path, otherwise=self._options()) as stage:
             for name, (route, at) in starts.items():
                 stage.add(name, route, at=at, speed=0.0)
@@ -74,7 +74,7 @@ class Drive:
 
     @property
     def tracks(self) -> Tracks:
-        """What we recorded."""
+        """The record made by this package."""
         rows = np.array([self.rows["target"], self.rows["other"]])
         return Tracks(
             ids=("target", "other"),
@@ -96,7 +96,7 @@ class Drive:
         at = {
             round(float(t), 3): np.nan if v == "NA" else float(v) for t, v in zip(words, values, strict=True)
         }
-        # the device logs before the clock moves on: what it calls t is our state at t + one step
+        # the device logs before the clock advances: its time t is our time t + one step
         return np.array([at.get(round(time - DT_S, 3), np.nan) for time in self.times])
 
     def extreme(self, tag: str) -> float:
@@ -119,7 +119,7 @@ STREET = {"other": (["WM", "ME"], 100.0), "target": (["WM", "ME"], 20.0)}
     ids=["steady", "both braking"],
 )
 def test_following(speeds: Mapping[str, FloatArray], plane_s: float, tmp_path: Path) -> None:
-    """Lane TTC and DRAC are the device's; the TTC of boxes takes speeds from positions, half a step of braking off."""
+    """Lane TTC and DRAC equal the device's; the TTC of boxes uses speeds from positions, half a step of braking off."""
     drive = Drive(nets.street(tmp_path))
     drive.run(STREET, speeds)
     theirs, drac = drive.theirs("TTC"), drive.theirs("DRAC")
@@ -128,14 +128,16 @@ def test_following(speeds: Mapping[str, FloatArray], plane_s: float, tmp_path: P
     assert ours.time_to_collision()[1] == pytest.approx(theirs, abs=LANE_TTC_S)
     assert ours.deceleration_to_avoid()[1] == pytest.approx(drac, abs=DRAC_MPS2)
     boxes = time_to_collision(drive.tracks, 0)[1]
-    near = np.isfinite(boxes) & (np.arange(STEPS) > 0)  # at the first instant only one step tells the speed
+    near = np.isfinite(boxes) & (
+        np.arange(STEPS) > 0
+    )  # at the first instant the speed comes from one step only
     assert near.sum() > 40
     assert boxes[near] == pytest.approx(theirs[near], abs=plane_s)
 
 
 @pytest.mark.parametrize(("width_m", "target_mps"), [(nets.WIDTH_M, 8.0), (2.5, 8.0), (nets.WIDTH_M, 6.0)])
 def test_crossing_one_after_the_other(width_m: float, target_mps: float, tmp_path: Path) -> None:
-    """The other leaves the conflict area, the target enters it later: PET, worked out by hand too."""
+    """The other leaves the conflict area and the target enters it later: PET, also worked by hand."""
     drive = Drive(nets.crossing(tmp_path), width_m)
     steps = round(130.0 / target_mps / DT_S)
     speeds = {"other": np.full(steps, 9.0), "target": np.full(steps, target_mps)}
@@ -150,7 +152,7 @@ def test_crossing_one_after_the_other(width_m: float, target_mps: float, tmp_pat
 
 
 def test_crossing_into_each_other(tmp_path: Path) -> None:
-    """On a collision course the device counts to when the second enters what the first still occupies."""
+    """On a collision course the device takes the time until the second enters the area that the first still occupies."""
     drive = Drive(nets.crossing(tmp_path))
     speeds = {"other": np.full(70, 9.0), "target": np.full(70, 9.0)}
     drive.run({"other": (["SC", "CN"], 80.0), "target": (["WC", "CE"], 78.0)}, speeds)

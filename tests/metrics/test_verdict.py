@@ -26,7 +26,7 @@ def verdict(record, road: RoadMap, solvable: bool | None = None) -> Verdict:
 
 
 def test_running_into_a_stopping_leader_is_a_valid_failure(road) -> None:
-    # 30 m behind at 12 m/s a leader brakes with 3 m/s²: it needs 24 m, the careful driver 9 + 9.5 m
+    # 30 m behind at 12 m/s a leader brakes at 3 m/s²: it needs 24 m, the careful driver 9 + 9.5 m
     ego = straight("ego", (-150, -1.6), 0, 12, steps=81)
     lead = driven("lead", (-116, -1.6), 0, braking(12, 0.5, 3.0, 81))
     result = verdict(record_of(ego, lead), road)
@@ -51,7 +51,7 @@ def test_a_cut_in_at_a_third_of_a_second_is_unavoidable(road) -> None:
     assert not result.lawful
     assert result.preventable is False
     assert result.preventable_by == ()
-    assert result.unavoidable is None  # nobody has looked for other drives
+    assert result.unavoidable is None  # the clairvoyant search was not run
     assert result.impact_left_mps is not None
     assert result.impact_left_mps > 1.0
     assert result.spare_m is None
@@ -74,8 +74,8 @@ def test_rear_ended_while_standing(road) -> None:
     )
 
 
-def test_who_stands_where_the_target_set_off_stays_clear(road) -> None:
-    """Bumper to bumper 0.5 m, from -58 to -57.5; the target gains 2 m/s² from 2 s on."""
+def test_a_driver_that_stands_where_the_target_set_off_stays_clear(road) -> None:
+    """The bumper gap is 0.5 m, from -58 to -57.5; the target accelerates at 2 m/s² from 2 s on."""
     ego = driven("ego", (-60, -4.8), 0, np.maximum(0.0, 0.2 * np.arange(-20, 41)))
     ahead = straight("ahead", (-55.5, -4.8), 0, 0, steps=61)
     result = verdict(record_of(ego, ahead), road)
@@ -106,8 +106,8 @@ def test_what_the_record_lacks_is_named(light_road) -> None:
 
 
 @pytest.mark.parametrize(("held", "fault"), [((), "unclear"), (("g", "g"), "target"), (("g", "G"), "target")])
-def test_the_right_of_way_at_a_light_is_not_told_without_its_signals(light_road, held, fault) -> None:
-    """By the net's rows, which are for two who have a green at once, the one from the south was convicted."""
+def test_the_right_of_way_at_a_light_is_unknown_without_signals(light_road, held, fault) -> None:
+    """The net's rows do not decide here: they apply to two vehicles that have green at the same time."""
     north, east = straight("north", (1.6, -31), NORTH, 10), straight("east", (-30, -1.6), 0, 10)
     ways = ("SC_0", "CN_0"), ("WC_1", "CE_1")
     signals = signals_of(light_road, dict(zip(ways, held, strict=True)), 41) if held else ()
@@ -146,11 +146,11 @@ def test_preventable_is_never_unavoidable(road, solvable) -> None:
         pytest.param(60.0, None, id="never"),
     ],
 )
-def test_a_follower_on_the_careful_drivers_tail_is_not_held_against_it(road, gap_m, contact_step) -> None:
-    # 15 m behind at 12 m/s somebody drives 7: contact at 3.0 s, the record ends at 3.1. The careful driver drives
-    # 9.46 m in 0.8 s, 5.34 in 0.5 and 3.07 in 0.4 s, and 6.54 m/s from 1.7 s on: it is 6.0 m nearer to the leader,
-    # and 2.53 m behind who went on with 12 m/s. Who does so gap_m behind it is there at
-    # 1.7 + (gap_m - 2.53) / 5.46 s: 2.34 and 3.80 s. The drive ends 3 s after the record
+def test_a_rear_end_by_a_follower_does_not_count_against_the_driver(road, gap_m, contact_step) -> None:
+    # The target drives 12 m/s, 15 m behind a leader at 7 m/s: contact at 3.0 s; the record ends at 3.1 s. The careful
+    # driver drives 9.46 m in 0.8 s, 5.34 m in 0.5 s and 3.07 m in 0.4 s, then 6.54 m/s from 1.7 s on. It is then 6.0 m
+    # nearer to the leader, and 2.53 m behind the position at constant 12 m/s. A follower at 12 m/s, gap_m behind,
+    # reaches it at 1.7 + (gap_m - 2.53) / 5.46 s: 2.34 and 3.80 s. The drive ends 3 s after the record.
     ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-131, -1.6), 0, 7, steps=32)
     behind = straight("behind", (-154 - gap_m, -1.6), 0, 12, steps=32)
     result = verdict(record_of(ego, lead, behind), road)
@@ -163,8 +163,8 @@ def test_a_follower_on_the_careful_drivers_tail_is_not_held_against_it(road, gap
     assert result.sentence.startswith("A careful and competent driver who brakes")
 
 
-def test_what_is_left_of_the_impact_is_that_with_who_counts(road) -> None:
-    """Told before of the follower, whose contact is not held against the driver and comes first."""
+def test_the_remaining_impact_is_that_of_the_collision_that_counts(road) -> None:
+    """The contact with the follower comes first, but does not count."""
     ego, lead = (
         straight("ego", (-150, -1.6), 0, 12),
         driven("lead", (-133, -1.6), 0, braking(12, 0.3, 8.0, 41)),
@@ -180,10 +180,10 @@ def test_what_is_left_of_the_impact_is_that_with_who_counts(road) -> None:
     assert alone.valid_failure
 
 
-def test_a_contact_after_one_that_does_not_count_is_told_though_the_record_has_ended(road) -> None:
-    """The careful driver is run into from behind and stands, with its front at -127.6 m.
+def test_a_contact_after_the_record_and_after_one_that_does_not_count_is_reported(road) -> None:
+    """The careful driver is hit from behind and stands, with its front at -127.6 m.
 
-    Somebody comes from the right with 5 m/s, 22.4 m from its side: 4.48 s, the record ends at 3.1 s.
+    A car comes from the right at 5 m/s, 22.4 m from the driver's side: 4.48 s. The record ends at 3.1 s.
     """
     ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-110, -1.6), 0, 0, steps=32)
     tail = straight("tail", (-156, -1.6), 0, 12, steps=32)
@@ -197,8 +197,8 @@ def test_a_contact_after_one_that_does_not_count_is_told_though_the_record_has_e
     assert "into by 'cross' at 5.0 m/s" in result.sentence
 
 
-def test_who_overlaps_the_target_as_the_driver_takes_over_is_not_held_against_it(road) -> None:
-    """Held against it before, though the log puts that car there: no driver avoided anything. 29 m to a stop at 10."""
+def test_an_overlap_at_the_takeover_does_not_count_against_the_driver(road) -> None:
+    """The log places that car there, so no driver could avoid it. 29 m suffice to stop from 10 m/s."""
     ego, lead = straight("ego", (-150, -1.6), 0, 10, steps=61), straight("lead", (-115, -1.6), 0, 0, steps=61)
     beside = straight("beside", (-152, -3.4), 0, 10, steps=61)  # 0.2 m of it lie in the target
     result = verdict(record_of(ego, lead, beside), road)
@@ -207,7 +207,7 @@ def test_who_overlaps_the_target_as_the_driver_takes_over_is_not_held_against_it
     assert result.sentence == alone.sentence
 
 
-def test_who_counts_of_those_that_the_careful_driver_touches(road) -> None:
+def test_which_contacts_of_the_careful_driver_count(road) -> None:
     ego, lead = straight("ego", (-150, -1.6), 0, 12, steps=32), straight("lead", (-131, -1.6), 0, 7, steps=32)
     record = record_of(ego, lead, straight("behind", (-200, -1.6), 0, 12, steps=32))
     hit = target_collision(record, collisions(record))

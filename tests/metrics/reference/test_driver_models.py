@@ -1,4 +1,4 @@
-"""The four models of UN R157 on situations worked by hand."""
+"""The four models of UN R157 in hand-worked situations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def facing(v=20.0, u=10.0, d=20.0, y=-1.9, w=0.0, a=0.0) -> Situation:
     return Situation(*(np.asarray(float(x)) for x in (v, a, u, d, y, w, 8.6)))
 
 
-def test_the_human_driver_brakes_for_whoever_overlaps_sideways() -> None:
+def test_the_human_driver_brakes_for_a_lateral_overlap() -> None:
     assert HUMAN.demand(facing(y=0.0)) == FULL_BRAKE_MPS2 == pytest.approx(7.593, abs=1e-3)
     assert HUMAN.demand(facing(y=0.01)) == 0.0
     assert HUMAN.demand(facing(d=-4.4)) == 0.0  # the ego's centre is 0.1 m past the other's
@@ -115,7 +115,7 @@ def test_a_reaction_waits_once_and_then_brakes_at_unsafe_instants_only() -> None
 @example(
     v=1.1125369292536007e-308, u=0.0, y=0.0, w=0.0, near=0.0, farther=2.0
 )  # closes in, but in no time there is
-def test_a_larger_gap_never_asks_for_more_braking(v, u, y, w, near, farther) -> None:
+def test_a_larger_gap_never_requires_more_braking(v, u, y, w, near, farther) -> None:
     for name in ("CC_human_driver", "Reg157", "RSS"):
         model = MODELS[name]
         close, far = (float(model.demand(facing(v, u, d, y, w))) for d in (near, near + farther))

@@ -26,7 +26,7 @@ def array(*values: float) -> np.ndarray:
     return np.array(values, dtype=np.float64)
 
 
-def test_a_cut_in_right_before_the_bumper_hits_everybody_and_a_far_one_nobody() -> None:
+def test_a_cut_in_right_before_the_bumper_hits_all_models_and_a_far_one_none() -> None:
     ego, other = array(60 / 3.6, 60 / 3.6), array(10 / 3.6, 10 / 3.6)
     gap, lateral = array(25.0, 59.0), array(1.5, 1.5)
     # 16 m less the 8.6 m of both boxes: over in 1.1 s, at 13.9 m/s closing
@@ -34,7 +34,7 @@ def test_a_cut_in_right_before_the_bumper_hits_everybody_and_a_far_one_nobody() 
     assert not any(cut_in(m, ego, other, gap, lateral)[1] for m in (HUMAN, REGULATION, RSS, FSM))
 
 
-def test_nobody_comes_over_at_lateral_speed_zero() -> None:
+def test_no_cut_in_at_lateral_speed_zero() -> None:
     for model in (HUMAN, REGULATION, RSS, FSM):
         assert not cut_in(model, array(60 / 3.6), array(10 / 3.6), array(1.0), array(0.0)).any()
 
@@ -60,7 +60,7 @@ def test_the_grids_of_the_regulations_tool(adv_data: Path, grid: str) -> None:
     assert result.stdout.startswith(f"{grid}.csv.gz: {kind}\n")
 
 
-def test_a_grid_that_we_do_not_meet_exits_with_1(tmp_path: Path) -> None:
+def test_disagreement_with_a_grid_exits_with_1(tmp_path: Path) -> None:
     grid = tmp_path / "wrong.csv"
     grid.write_text("ego_kmh,other_kmh,gap_m,lateral_mps,RSS\n60,10,59,0.5,1\n60,10,59,0.0,0\n")
     result = check(grid, "--differences")
@@ -78,7 +78,7 @@ def test_a_grid_that_we_do_not_meet_exits_with_1(tmp_path: Path) -> None:
         ("model,speed_kmh,decel_g,crash\nRSS,10\n", "line 2 has another number of columns"),
     ],
 )
-def test_what_is_no_grid_is_said_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+def test_an_invalid_grid_is_reported_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     grid = tmp_path / "grid.csv"
     grid.write_text(text)
     result = check(grid)

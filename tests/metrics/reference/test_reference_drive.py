@@ -19,7 +19,7 @@ NORTH = math.pi / 2
 
 
 def drives(record, road, **options):
-    """Return what each reference driver does about the target's first collision."""
+    """Return the drive of each reference driver in the target's first collision."""
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
     return drive_all(record, road, hit, **options)
@@ -40,9 +40,7 @@ def test_the_human_driver_stops_before_a_standing_car(straight, record_of, road)
     np.testing.assert_allclose(drive.states.xy_m[:, 1], -4.8, atol=0.05)
 
 
-def test_a_cut_in_of_a_third_of_a_second_is_beyond_everybody_but_the_far_sighted(
-    straight, record_of, road
-) -> None:
+def test_only_the_far_sighted_models_avoid_a_cut_in_of_a_third_of_a_second(straight, record_of, road) -> None:
     ego = straight("ego", (-150, -4.8), 0, 15)
     cutter = straight("cutter", (-142.5, -1.6), 0, 5, drift=-4.0)
     # from 1.2 m apart sideways to contact in 0.3 s; 3.5 m ahead, closing in at 10 m/s
@@ -54,7 +52,7 @@ def test_a_cut_in_of_a_third_of_a_second_is_beyond_everybody_but_the_far_sighted
         assert result[name].impact_mps > 0.0
 
 
-def test_who_stands_is_hit_all_the_same(straight, record_of, road) -> None:
+def test_a_standing_driver_is_hit_as_well(straight, record_of, road) -> None:
     ego = straight("ego", (-60, -4.8), 0, 0)
     other = straight("other", (-100, -4.8), 0, 15)
     for drive in drives(record_of(ego, other), road).values():
@@ -101,7 +99,7 @@ def test_the_duty_to_yield_binds(straight, record_of, road) -> None:
         assert drive.accel_mps2[before].min() <= -2.0, name  # it slows down at the line, not in the junction
 
 
-def test_somebody_who_appears_late_is_seen_late(straight, record_of, road) -> None:
+def test_a_vehicle_that_appears_late_is_perceived_late(straight, record_of, road) -> None:
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
     gone = straight("gone", (-100, -1.6), 0, 10, steps=90)
@@ -114,7 +112,7 @@ def test_somebody_who_appears_late_is_seen_late(straight, record_of, road) -> No
     assert drive.impact_mps > 13.0
 
 
-def test_a_late_look_back_takes_over_later(straight, record_of, road) -> None:
+def test_a_shorter_look_back_takes_over_later(straight, record_of, road) -> None:
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
     record = record_of(ego, still)
@@ -124,8 +122,10 @@ def test_a_late_look_back_takes_over_later(straight, record_of, road) -> None:
     assert drives(record, road, lookback_s=1)["CC_human_driver"].contact_step is not None
 
 
-def test_a_moment_is_safe_where_it_lasts_or_is_the_first(straight, road, record_of) -> None:
-    """Who is hit at 8.3 s is in sight throughout but for some instants: two, from 7.4 s on, are no 0.3 s of safety."""
+def test_the_takeover_needs_a_safe_stretch_unless_it_is_at_the_first_instant(
+    straight, road, record_of
+) -> None:
+    """The vehicle hit at 8.3 s is visible except for some instants; two of them, from 7.4 s on, are less than 0.3 s."""
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
 
     def takeover(*unseen: int) -> int:
@@ -140,7 +140,7 @@ def test_a_moment_is_safe_where_it_lasts_or_is_the_first(straight, road, record_
     assert takeover(74, 75, 76) == 76
 
 
-def test_a_drive_that_avoids_one_and_hits_another_counts_as_contact(straight, record_of, road) -> None:
+def test_avoiding_one_vehicle_but_hitting_another_counts_as_contact(straight, record_of, road) -> None:
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
     behind = straight("behind", (-200, -4.8), 0, 14.9, steps=90)
@@ -175,7 +175,7 @@ def test_an_unknown_model_is_named(straight, record_of, road) -> None:
 
 
 @pytest.mark.data
-def test_on_a_straight_lane_it_is_the_models_own_world(adv_data: Path, straight, road, record_of) -> None:
+def test_on_a_straight_lane_it_agrees_with_the_models(adv_data: Path, straight, road, record_of) -> None:
     cells = [cell for cell in _critical_cells(adv_data / "r157" / "cut_in_low.csv.gz") if cell[3] > 0.25]
     picked = [cells[i] for i in np.random.default_rng(3).permutation(len(cells))]
     differ, looked_at = [], 0
@@ -198,7 +198,7 @@ def test_on_a_straight_lane_it_is_the_models_own_world(adv_data: Path, straight,
 
 
 def _critical_cells(path: Path) -> list[tuple[float, float, float, float, dict[str, bool]]]:
-    """Return the cells of the grid: speeds in m/s, gap, lateral speed, who crashes."""
+    """Return the cells of the grid: speeds in m/s, gap, lateral speed, and which models collide."""
     lines = gzip.decompress(path.read_bytes()).decode().splitlines()
     names = lines[0].split(",")
     rows = [dict(zip(names, line.split(","), strict=True)) for line in lines[1:]]
@@ -234,8 +234,8 @@ def _cut_in(straight, ego: float, other: float, gap: float, lateral: float):
     return own, replace(theirs, xy_m=theirs.xy_m + np.stack((np.zeros(count), offset), -1))
 
 
-def test_without_a_route_it_goes_where_the_target_drove(straight, record_of, road) -> None:
-    """The target turns left onto the north arm, where somebody stands just behind the junction."""
+def test_without_a_route_the_way_is_where_the_target_drove(straight, record_of, road) -> None:
+    """The target turns left onto the north arm, where a car stands just beyond the junction."""
     link = road.links["WC_1", "CN_0"]
     line = concatenate([road.lanes[x].line for x in ("WC_1", *link.via, "CN_0")])
     stop = road.lanes["WC_1"].length_m
@@ -252,8 +252,8 @@ def test_without_a_route_it_goes_where_the_target_drove(straight, record_of, roa
         np.testing.assert_allclose(unknown[name].states.xy_m, drive.states.xy_m, atol=0.3)
 
 
-def test_who_jumps_is_not_swept(straight, record_of, road) -> None:
-    """Somebody else's id turns up 120 m away within a step, across the way of both."""
+def test_a_jump_is_no_contact(straight, record_of, road) -> None:
+    """A vehicle with a known id appears 120 m away within one step, across the way of both."""
     ego = straight("ego", (-190, -4.8), 0, 15, steps=90)
     still = straight("still", (-60.5, -4.8), 0, 0, steps=90)
     jumper = straight("jumper", (-120, 60), 0, 0, steps=90)

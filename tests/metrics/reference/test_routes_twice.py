@@ -23,15 +23,15 @@ ROUND_AND_ON = ("A", "B", "C", "D", "A", "E")
 
 @pytest.fixture(scope="module")
 def ring(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
-    """A block of 60 m round which A, B, C and D lead, and E straight on from A; A and E lie at y = -1.6."""
+    """A block of 60 m with the edges A, B, C and D around it, and E straight on from A; A and E lie at y = -1.6."""
     return build(tmp_path_factory.mktemp("ring"), NODES, EDGES, "ring")
 
 
 @pytest.mark.parametrize("place", ["E", "B"])
-def test_the_way_goes_on_from_the_passage_that_was_reached(ring, place) -> None:
-    """It turned into B again on the second passage of A, where the route leads on to E and the target went.
+def test_the_way_continues_from_the_passage_that_was_reached(ring, place) -> None:
+    """On the second passage of A the route, and the target, continue to E, not into B.
 
-    What stands on E is run into on the second passage, what stands on B on the first.
+    A car standing on E is hit on the second passage, one standing on B on the first.
     """
     (path, *_) = ring.lane_path(ROUND_AND_ON, "A_0", 500.0, start_s_m=5.0, vclass=None)
     ego = along("ego", path.line, 10.0 * DT_S * np.arange(360))

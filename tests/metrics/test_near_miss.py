@@ -36,7 +36,7 @@ def test_a_vehicle_that_appears_on_the_target_is_no_near_miss(road) -> None:
 
 
 def test_a_vehicle_that_appears_on_the_target_and_separates_may_be_a_near_miss_later(road) -> None:
-    """It is 6 m/s faster, 8.5 m ahead by 4.5 s, and stands 20 m farther at 7 s. The target brakes late: 25.3 of 28.5 m."""
+    """It is 6 m/s faster, 8.5 m ahead at 4.5 s, and stands 20 m on at 7 s. The target brakes late: 25.3 of 28.5 m."""
     t = DT_S * np.arange(91)
     speed = np.where(t < 4.5, 16.0, np.maximum(0.0, 16.0 - 6.4 * (t - 4.5)))
     appears = driven("appears", (-146.5 - 18.0, -4.8), 0, speed)

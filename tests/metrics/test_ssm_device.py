@@ -152,7 +152,7 @@ def test_crossing_one_after_the_other(width_m: float, target_mps: float, tmp_pat
 
 
 def test_crossing_into_each_other(tmp_path: Path) -> None:
-    """On a collision course the device takes the time until the second enters the area that the first still occupies."""
+    """On a collision course the device counts until the second enters the area that the first still occupies."""
     drive = Drive(nets.crossing(tmp_path))
     speeds = {"other": np.full(70, 9.0), "target": np.full(70, 9.0)}
     drive.run({"other": (["SC", "CN"], 80.0), "target": (["WC", "CE"], 78.0)}, speeds)

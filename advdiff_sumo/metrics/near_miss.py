@@ -39,6 +39,7 @@ from advdiff_sumo.metrics.kept_motion import (
     with_velocity_kept,
 )
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
+from advdiff_sumo.metrics.reference.drive_contact import is_behind
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 
 #: Encounters with a least time to collision below this are near misses.
@@ -118,9 +119,11 @@ def _candidates(record: EpisodeRecord) -> list[tuple[int, int]]:
     Instants at which the target stands, or the other is behind it, do not count, since braking does not help then.
     Neither do those at which the other appeared in contact with the target and still touches it.
     """
-    ttc = time_to_collision(record.tracks, record.target)
-    stands = np.abs(record.tracks.speed_mps[record.target]) <= LEAST_SPEED_MPS
-    counts = np.isfinite(ttc) & ~stands & ~_is_behind(record)
+    tracks, target = record.tracks, record.target
+    ttc = time_to_collision(tracks, target)
+    stands = np.abs(tracks.speed_mps[target]) <= LEAST_SPEED_MPS
+    behind = is_behind(tracks.xy_m, tracks.xy_m[target], tracks.yaw_rad[target], tracks.size_m[target, 0])
+    counts = np.isfinite(ttc) & ~stands & ~behind
     if (ttc == 0.0).any():
         counts &= ~_initial_contacts(record)
     ttc = np.where(counts, ttc, np.inf)
@@ -146,13 +149,6 @@ def _initial_contacts(record: EpisodeRecord) -> BoolArray:
         )
         contacts.append(overlaps)
     return np.stack(contacts, axis=1)
-
-
-def _is_behind(record: EpisodeRecord) -> BoolArray:
-    """Return (A, T) whether the other's centre is behind the target's rear."""
-    tracks, target = record.tracks, record.target
-    along = ((tracks.xy_m - tracks.xy_m[target]) * unit(tracks.yaw_rad[target])).sum(-1)
-    return np.asarray(along < -0.5 * tracks.size_m[target, 0])
 
 
 def _drive(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> ReferenceDrive | None:

@@ -117,7 +117,7 @@ def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Lin
 
 
 def _link_has_priority(view: TrafficView, entry: JunctionEntry, link: Link, entered: bool) -> bool:
-    """Return whether the net makes the target yield to a vehicle on *link*; not if a signal stops it at the line."""
+    """Return whether the net makes the target yield to a vehicle on *link* that has *entered*, or may by its signal."""
     if not view.road.must_yield(entry.link, link) or view.road.must_yield(link, entry.link):
         return False
     if entered or link.tls_id is None or link.tls_index is None or not view.signals:
@@ -133,9 +133,8 @@ def _hits_third(record: EpisodeRecord, row: int, step: int, contact: int) -> boo
         if third in (row, record.target):
             continue
         recorded = Poses(tracks.xy_m[third, part], tracks.yaw_rad[third, part])
-        if (
-            len(recorded) == len(own)
-            and first_contact_step(own, recorded, *tracks.size_m[[row, third]]) is not None
-        ):
+        if len(recorded) != len(own):
+            continue
+        if first_contact_step(own, recorded, *tracks.size_m[[row, third]]) is not None:
             return True
     return False

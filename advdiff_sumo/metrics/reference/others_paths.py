@@ -103,10 +103,7 @@ def _driven_m(speed_mps: FloatArray, accel_mps2: FloatArray) -> FloatArray:
 
 
 def _lanes(road: RoadMap, tracks: Tracks, rows: IntArray) -> list[list[str | None]]:
-    """Return N lists of the lanes at the K instants, looked up every half second.
-
-    None for a pedestrian, and for a vehicle that is too far off the lane or at too large an angle to it.
-    """
+    """Return N lists of the lanes at the K instants; None for pedestrians and for vehicles too far off a lane."""
     every = max(1, round(_LANE_EVERY_S / tracks.dt_s))
     sampled = np.arange(0, tracks.steps, every)
     xy = tracks.xy_m[np.ix_(rows, sampled)].reshape(-1, 2)

@@ -225,10 +225,8 @@ class ReferenceDrivers:
             ego = float(s[k]), float(speed[k]), float(accel[k])
             meetings = meeting(self._recorded_corridor, k, ego, self._length_m)
             route_s_m = float(self._along_route_m[k])
-            must_stop = (
-                self._stop_demand(self._route_way, route_s_m, float(speed[k]), k, meetings, False) > 0.0
-            )
-            situations.append((meetings, must_stop))
+            demand = self._stop_demand(self._route_way, route_s_m, float(speed[k]), k, meetings, False)
+            situations.append((meetings, demand > 0.0))
         return situations
 
     @cached_property

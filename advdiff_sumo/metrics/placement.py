@@ -38,7 +38,7 @@ class Placement:
         return float(abs(self.d_m[instant]) + self.reach_m[instant] - self.half_width_m[instant])
 
 
-def place(road: RoadMap, tracks: Tracks, row: int, start: int, stop: int) -> Placement:
+def placement_of(road: RoadMap, tracks: Tracks, row: int, start: int, stop: int) -> Placement:
     """Return the lanes of agent *row* at instants *start* to *stop* (exclusive).
 
     Only lanes open to motor vehicles count. A bicycle may also be on a bicycle lane, if its centre is.

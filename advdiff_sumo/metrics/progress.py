@@ -11,7 +11,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.record import EndReason, EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.kinematics import unbroken
-from advdiff_sumo.metrics.placement import place
+from advdiff_sumo.metrics.placement import placement_of
 
 #: The position on the route is determined at this interval.
 _EVERY_S = 0.5
@@ -97,7 +97,7 @@ def _positions(record: EpisodeRecord, road: RoadMap) -> list[float]:
     starts = _edge_starts(road, record.route)
     if not starts:
         return []
-    placement = place(road, record.tracks, record.target, 0, record.tracks.steps)
+    placement = placement_of(road, record.tracks, record.target, 0, record.tracks.steps)
     every = max(1, round(_EVERY_S / record.tracks.dt_s))
     driven = _driven_m(record)
     positions: list[tuple[float, float]] = []  # position along the route, metres driven until there

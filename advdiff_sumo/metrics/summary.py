@@ -20,7 +20,7 @@ from advdiff_sumo.metrics.breaches.offences import OFFENCE_KINDS, offences
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, least, time_to_collision
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, smallest, time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.fault import Fault
 from advdiff_sumo.metrics.following import following
@@ -187,12 +187,12 @@ def _criticality(
     ahead = following(before, target, road, record.route)
     lane_ttc = ahead.time_to_collision()
     drac = ahead.deceleration_to_avoid()
-    clearance = least(clearances(before, target), before)
+    clearance = smallest(clearances(before, target), before)
     if struck is not None:
         clearance = Extreme(0.0, struck.rows[1], struck.time_s)
     return Criticality(
-        ttc=least(time_to_collision(before, target), before),
-        lane_ttc=least(np.where(lane_ttc <= TTC_HORIZON_S, lane_ttc, np.inf), before),
+        ttc=smallest(time_to_collision(before, target), before),
+        lane_ttc=smallest(np.where(lane_ttc <= TTC_HORIZON_S, lane_ttc, np.inf), before),
         pet=post_encroachment(before, target),
         drac_mps2=None if np.isnan(drac).all() else float(np.nanmax(drac)),
         clearance=clearance,

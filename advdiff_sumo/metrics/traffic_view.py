@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.placement import Placement, place
+from advdiff_sumo.metrics.placement import Placement, placement_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class TrafficView:
         """Return the lanes of agent *row* at instants *start* to *stop* (exclusive); the result is cached."""
         key = (row, start, stop)
         if key not in self._placed:
-            self._placed[key] = place(self.road, self.tracks, row, start, stop)
+            self._placed[key] = placement_of(self.road, self.tracks, row, start, stop)
         return self._placed[key]
 
     def steps(self, seconds: float) -> int:

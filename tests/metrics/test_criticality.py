@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, least, time_to_collision
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, smallest, time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.following import following
 from advdiff_sumo.metrics.kinematics import snaps, velocities
@@ -201,7 +201,7 @@ def test_clearance_of_a_pass(straight, record_of) -> None:
     record = record_of(
         straight("ego", (0, 0), 0, 10), straight("parked", (20, 2.5), 0, 0), straight("far", (20, 40), 0, 0)
     )
-    nearest = least(clearances(record.tracks, 0), record.tracks)
+    nearest = smallest(clearances(record.tracks, 0), record.tracks)
     assert nearest is not None
     assert nearest.value == pytest.approx(0.5)
     assert (nearest.row, nearest.time_s) == (1, pytest.approx(1.6))  # bumpers level: 20 - 4 = 16 m

@@ -185,7 +185,7 @@ def _merge_junction(view: TrafficView, collision: Collision, placements: list[Pl
     """Return the junction that both crossed recently, from different edges, and on which their ways joined."""
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
     backwards = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placements)
-    recent_junctions = dict.fromkeys(
+    recent_junctions: dict[str, None] = dict.fromkeys(
         x for pair in zip(*backwards, strict=True) for x in pair if x is not None
     )
     for junction in recent_junctions:

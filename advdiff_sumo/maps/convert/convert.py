@@ -130,9 +130,8 @@ def convert_source(
 ) -> ConversionResult:
     """Convert a map that is already read; see :func:`convert_map` for the other arguments and errors.
 
-    *osm* is an OpenStreetMap extract whose streets continue the map beyond its rim (:mod:`.osm.add_streets`). With
-    *close_rim*, return edges beside the map then join its exits to its entries (:mod:`.rim`). *cycle_for* is the number
-    of vehicles per hour for which signals get fixed times (:mod:`.signals.fixed_times`); 0: no fixed times.
+    *osm*: OpenStreetMap extract whose streets continue the map (:mod:`.osm.add_streets`); with *close_rim*, return edges
+    join its exits to its entries (:mod:`.rim`). *cycle_for*: vehicles per hour of fixed-time signals; 0: none.
     """
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))

@@ -130,8 +130,8 @@ def convert_source(
 ) -> ConversionResult:
     """Convert a map that is already read; see :func:`convert_map` for the other arguments and errors.
 
-    *osm*: OpenStreetMap extract whose streets continue the map (:mod:`.osm.add_streets`); with *close_rim*, return edges
-    join its exits to its entries (:mod:`.rim`). *cycle_for*: vehicles per hour of fixed-time signals; 0: none.
+    *osm*: OpenStreetMap extract whose streets continue the map (:mod:`.osm.add_streets`); with *close_rim*, edges lead
+    from its exits back to its entries (:mod:`.rim`). *cycle_for*: vehicles per hour of fixed-time signals; 0: none.
     """
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))

@@ -24,10 +24,8 @@ _CROSSING_FIRST, _CUT_OUT_FIRST, _QUEUE_FIRST = 0.5, 0.4, 0.2
 _SLOW_FIRST = 0.2  # share of the episodes that begin with a given slow entry
 _ONLY_FIRST = ("cut-out", QUEUE, *SLOW_ENTRIES)
 """Kinds that have a turn only at the beginning."""
-_AFTER_CROSSING = (
-    "cut-in",
-    "hard-stop",
-)  # kinds that give up their turn before a junction where the target must yield
+_AFTER_CROSSING = ("cut-in", "hard-stop")
+"""Kinds that give up their turn before a junction where the target must yield."""
 _FORESIGHT_S = 8.0
 
 
@@ -112,7 +110,7 @@ def is_possible(view: SituationView, kind: str) -> bool:
 
 
 def approaches_yield_line(view: SituationView) -> bool:
-    """Return whether the target will soon reach, unhindered, a junction where others have priority, red lights aside.
+    """Return whether the target soon reaches, unhindered, a junction where others have priority and no light is red.
 
     This is the rarest of all encounters. No vehicle may lead the target then, as it would keep it from the junction.
     """

@@ -38,12 +38,11 @@ CUT_IN_MERIT: Mapping[float, float] = {2.0: 0.4, 3.0: 0.6, 4.0: 0.8, 5.0: 0.9, 6
 SLOW_ENTRY_MERIT: Mapping[float, float] = {1.0: 0.3, 2.0: 0.6, 3.0: 0.8, 4.0: 1.0, 5.0: 0.8}
 """Merit of a slow entry, which the target sees beforehand; 0 beyond ``MAX_DEMAND_MPS2``."""
 _LEAST_DEMAND_MPS2: Mapping[str, float] = {"blocked-lane": 2.0, "cut-out": 2.0, "crossing": 1.0}
+"""Least required deceleration of the kinds that are rated by ``YIELDING_MERIT``."""
 _GENTLE_FACTOR = 0.5  # on the merit of a blocked lane, so that a hard stop a little later is preferred
 _TRAPPED_WEIGHT = 0.8  # of a target that cannot escape, in the merit of a crossing at its red light
-_UNNOTICED_SHARE, _UNNOTICED_S = (
-    0.3,
-    1.0,
-)  # counts as this trapped share, if the target notices after this time
+_UNNOTICED_SHARE, _UNNOTICED_S = 0.3, 1.0
+"""Trapped share that is assumed if the target notices a crossing vehicle only after this time."""
 _ONE_INSTANT_FACTOR = 0.2
 """Factor on the merit of a crossing vehicle that collides only if it arrives at exactly one instant."""
 POSITIONING_MERIT, _POSITIONING_DEMAND_MPS2 = 0.05, {"hard-stop": 2.0, DOUBLE: 2.0}

@@ -38,7 +38,7 @@ _MIN_SPEED_SHARE, _MAX_SLOWER_MPS = 0.5, 7.0
 _BRAKES_MPS2, _DRIFTS_MPS = 2.5, 0.5
 """A target that brakes harder responds to something; one that moves sideways faster changes lanes, and needs room."""
 _FASTER_MPS, _SETTLED_MPS, _JOINS_M = 1.5, 1.0, 45.0
-"""Speed difference to gain on the target; largest one of a settled company; how near a vehicle must be settled."""
+"""Speed difference to gain on the target; largest one of a settled company; distance within which that counts."""
 
 
 def car_spacing_m(speed_mps: float) -> float:

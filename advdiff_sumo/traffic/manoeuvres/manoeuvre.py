@@ -119,7 +119,10 @@ class Manoeuvre:
         return float(_FINE_TIMES_S[np.argmax(is_within)]) if is_within.any() else float(_FINE_TIMES_S[-1])
 
     def mean_and_end_speed(self, time_s: float, speed_mps: float) -> tuple[float, float]:
-        """Return the mean speed up to *time_s*, and the speed at *time_s*, of a vehicle at *speed_mps* now."""
+        """Return the mean speed up to *time_s*, and the speed at *time_s*, of a vehicle at *speed_mps* now.
+
+        Only a vehicle with a ``body`` follows its profile; others are taken to keep their speed.
+        """
         if self.body is None or time_s <= 0.0:
             return speed_mps, speed_mps
         driven, speed = drive_profiles(np.array([speed_mps]), [self.profile])

@@ -83,9 +83,8 @@ def priority_approaches(
             and stop_distance_m <= line_m + _waits_beyond_line_m(view, link, other, points[0])
         ]
         if is_red:
-            conflicts.sort(
-                key=lambda conflict: conflict[1][1]
-            )  # a short way leaves the least time to perceive it
+            # a short way leaves the least time to perceive it
+            conflicts.sort(key=lambda conflict: conflict[1][1])
         for other, points in conflicts:
             meets_s = target.arrival_s(line_m + points[0])
             # a prescribed time leaves room for every severity

@@ -30,19 +30,14 @@ QUEUE = "queue"
 _MAX_CLOSING_MPS, _TARGET_BRAKING_MPS2 = 22.0, 4.0
 """Highest closing speed: a careful driver who perceives the queue at 80 m then brakes with 4 m/s²."""
 _MIN_TARGET_MPS = 10.0
-_OUT_OF_SIGHT_M, _LENGTHS_M = (
-    90.0,
-    8.0,
-)  # least distance of a queue; half the lengths of both vehicles, and some more
+_OUT_OF_SIGHT_M, _LENGTHS_M = 90.0, 8.0
+"""Least distance of a queue; half the lengths of both vehicles, and some more."""
 _QUEUE_LASTS_S, _PAUSE_S = 20.0, 20.0
 _LASTS_S: Mapping[str, float] = {QUEUE: _QUEUE_LASTS_S, "cut-out": 60.0, SLOW_MERGE: 20.0, PULL_OUT: 20.0}
 _STAGGER_M = 3.0  # offset along the road from one lane's vehicle to the next one's
 _CLOSED_UP_MPS = 0.5  # a target that is no more than this faster than the queue has closed up
-_FREE_M, _FREE_S, _IN_LANE_M = (
-    8.0,
-    1.0,
-    2.0,
-)  # room that a crawling vehicle needs ahead: constant, per m/s; lateral
+_FREE_M, _FREE_S, _IN_LANE_M = 8.0, 1.0, 2.0
+"""Room that a crawling vehicle needs ahead: constant, per m/s; lateral."""
 
 
 @dataclass(frozen=True)

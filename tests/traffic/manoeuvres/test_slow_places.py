@@ -70,9 +70,8 @@ def test_a_bus_stands_at_the_kerb_first(motorway: RoadMap) -> None:
     assert stage.count == 1
     (second,) = inserted(view, "pull-out", stage)
     assert second.agent_class is AgentClass.TRUCK
-    assert not inserted(
-        view_of(motorway, target=(0, 50.0, 9.0)), "pull-out"
-    )  # the target drives at the kerb itself
+    # the target drives at the kerb itself
+    assert not inserted(view_of(motorway, target=(0, 50.0, 9.0)), "pull-out")
 
 
 def kerb_lanes(road: RoadMap) -> tuple[Lane, Lane]:

@@ -25,13 +25,13 @@ REACH_M = 80.0
 SLOWEST_TARGET_MPS = 3.0
 """For a slower target no vehicle is inserted, and none is timed to cross its way."""
 _EARLIEST_S, _LATEST_S, _LATEST_AT_RED_S = 3.2, 6.0, 5.0  # when the target may be at the conflict point
-_MIN_ARRIVAL_S = 1.7  # the same of the other vehicle, if the time is prescribed
+_MIN_ARRIVAL_S = 1.7  # least time until the other vehicle arrives, if it is prescribed
 _SLOWEST_MPS, _FASTEST_MPS, _SLOWEST_SHARE = 3.0, 12.0, 0.6  # of the other vehicle; share of its limit
 CAREFUL_STOP_MPS2 = 4.0
-"""Braking with which a careful driver who sees a vehicle inserted still stops at its line."""
+"""Braking with which a careful driver still stops at its line for an inserted vehicle."""
 _WAITS_BEFORE_M = 2.5
 """Distance before the middle of the other's lane at which a vehicle that turns across it waits."""
-_ARRIVAL_ERRORS_S, _ARRIVAL_ERRORS_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
+_ARRIVAL_OFFSETS_S, _ARRIVAL_OFFSETS_AT_RED_S = (0.0, 0.7, -0.7), (0.5, 0.0, 1.0)
 """How much later than the target the other vehicle arrives: the values that are tried, best first."""
 _LIMIT_SHARE_AT_RED = 0.8
 """Share of the limit for a vehicle that may have to hurry or to hesitate."""
@@ -90,9 +90,9 @@ def priority_approaches(
             # a prescribed time leaves room for every severity
             earliest_s = _EARLIEST_S if early_s is None else MOST_EARLY_S + _MIN_ARRIVAL_S
             if earliest_s < meets_s < (_LATEST_AT_RED_S if is_red else _LATEST_S):
-                usual_errors_s = _ARRIVAL_ERRORS_AT_RED_S if is_red else _ARRIVAL_ERRORS_S
-                errors_s = usual_errors_s if early_s is None else (-early_s,)
-                arrivals_s = [meets_s + error_s for error_s in errors_s]
+                usual_offsets_s = _ARRIVAL_OFFSETS_AT_RED_S if is_red else _ARRIVAL_OFFSETS_S
+                offsets_s = usual_offsets_s if early_s is None else (-early_s,)
+                arrivals_s = [meets_s + offset_s for offset_s in offsets_s]
                 limit_share = _LIMIT_SHARE_AT_RED if is_red else 1.0
                 fastest_mps = turn_speed_mps(view.road, other) if from_ahead_only else np.inf
                 yield from _arriving_at(view, other, arrivals_s, points[1], limit_share, fastest_mps)

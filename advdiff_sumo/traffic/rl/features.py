@@ -1,4 +1,4 @@
-"""The observation of an attacker: a fixed list of numbers in its own frame (x forward, y left), scaled to about 1."""
+"""The observation of an attacker: numbers in its own frame (x forward, y left), scaled to about 1."""
 
 from __future__ import annotations
 

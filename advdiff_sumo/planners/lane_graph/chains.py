@@ -9,7 +9,7 @@ from typing import TypeAlias
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps import Link, RoadMap
 
-_NO_WAY_EFFORT = 99.0  # of a lane from which the route cannot be followed
+_MAX_EFFORT = 99.0  # of a lane from which the route cannot be followed
 _SHORT_EDGE_M = 40.0  # on an edge of this length, a lane change costs twice the effort
 _EDGES_AHEAD = 6  # of another vehicle's route
 _MAX_LANES = 40  # of a chain
@@ -49,32 +49,21 @@ def required_changes(road: RoadMap, edges: Sequence[str]) -> Changes:
         effort = 1.0 + _SHORT_EDGE_M / max(road.edges[edges[k]].length_m, 1.0)
         for lane in lanes:
             needed[k, lane] = min(
-                (
-                    (effort * abs(n) + onward[target], n)
-                    for target, n in _reachable_sideways(road, lane, lanes)
-                ),
+                ((effort * abs(n) + onward[target], n) for target, n in _lanes_beside(road, lane, lanes)),
                 key=lambda option: (option[0], abs(option[1])),
             )
     return needed
 
 
-def _effort_beyond(
-    road: RoadMap,
-    lane: str,
-    k: int,
-    edges: Sequence[str],
-    needed: Changes,
-) -> float:
+def _effort_beyond(road: RoadMap, lane: str, k: int, edges: Sequence[str], needed: Changes) -> float:
     """Return the least effort from the end of *lane* on edge *k* to the end of the route."""
     if k == len(edges) - 1:
         return 0.0
     links = _links_to(road, lane, edges[k + 1])
-    return min(
-        (needed.get((k + 1, x.to_lane), (_NO_WAY_EFFORT, 0))[0] for x in links), default=_NO_WAY_EFFORT
-    )
+    return min((needed.get((k + 1, x.to_lane), (_MAX_EFFORT, 0))[0] for x in links), default=_MAX_EFFORT)
 
 
-def _reachable_sideways(road: RoadMap, lane: str, lanes: Sequence[str]) -> list[tuple[str, int]]:
+def _lanes_beside(road: RoadMap, lane: str, lanes: Sequence[str]) -> list[tuple[str, int]]:
     """Return each lane that lane changes can reach, with their signed number (left positive)."""
     reached = [(lane, 0)]
     for sign in (1, -1):
@@ -141,7 +130,7 @@ def _next_link(
     """Return the connection from *lane* on edge *k* that needs the least effort; None if there is none."""
     if k < len(route) - 1:
         links = _links_to(road, lane, route[k + 1])
-        return min(links, key=lambda x: needed.get((k + 1, x.to_lane), (_NO_WAY_EFFORT, 0))[0], default=None)
+        return min(links, key=lambda x: needed.get((k + 1, x.to_lane), (_MAX_EFFORT, 0))[0], default=None)
     links = list(road.lanes[lane].successors)
     return min(links, key=lambda x: _turn_rad(road, lane, x), default=None)
 

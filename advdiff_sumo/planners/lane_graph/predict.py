@@ -162,14 +162,8 @@ def _drive(
 ) -> tuple[FloatArray, FloatArray]:
     """Return distance driven and speed (N, T) of N vehicles.
 
-    Args:
-        speed: (N,) present speeds.
-        accel: (N,) present accelerations, which fade.
-        s0: (N,) present arc lengths.
-        max_speed: (N, P) highest speed at each metre of the path.
-        stop: (N,) distance within which to stop, inf for none.
-        leader: (N,) gap to the leader, inf for none, and its speed.
-        steps: number T of instants.
+    Present *speed*, *accel* and arc length *s0*, and the distance *stop* within which to stop (inf for none), are
+    (N,). *max_speed* (N, P) is for each metre of the paths. *leader* holds gap (inf for none) and speed, each (N,).
     """
     rows, driven, last_cell = np.arange(len(speed)), np.zeros(len(speed)), max_speed.shape[1] - 1
     speed_gain = accel * np.exp(-np.arange(steps)[:, None] * STEP_S / _fade_s(accel)) * STEP_S  # (T, N)

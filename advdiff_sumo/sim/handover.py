@@ -19,9 +19,8 @@ from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.target_choice import remaining_route
 from advdiff_sumo.sim.world import World, stack
 
-_ALIGNED_RAD = (
-    0.05  # largest heading error of a release; SUMO turns a vehicle along its lane in its first step
-)
+# largest heading error of a release; SUMO turns a vehicle along its lane in its first step
+_ALIGNED_RAD = 0.05
 _STANDING_MPS = 0.5
 _MAX_WAIT_S = 8.0  # after this time SUMO gets a vehicle as it is, and the record counts it
 _ROUTE_AHEAD_M = 200.0

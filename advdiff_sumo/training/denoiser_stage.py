@@ -24,9 +24,8 @@ from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
 _JUDGED_STEPS = 10
 _STANDS_MPS = 0.3
-_PLANS_BEGIN = (
-    0.9  # share of the schedule at which the denoising of a plan begins, as in ``DiffusionOptions``
-)
+# share of the schedule at which the denoising of a plan begins, as in ``DiffusionOptions``
+_PLANS_BEGIN = 0.9
 
 
 class DenoiserStage(BundleStage):

@@ -224,7 +224,8 @@ def _simplified(xy_m: FloatArray) -> Polyline:
 def _pace(line: Polyline) -> FloatArray:
     """Return (P,) the greatest speeds with which comfortable braking keeps the lateral acceleration in bends low."""
     s = np.arange(0.0, line.length_m + _PACE_SPACING_M, _PACE_SPACING_M)
-    yaw = np.unwrap(np.arctan2(*np.diff(line.at(np.append(s - 2.0, s[-1] + 2.0))[0], axis=0).T[::-1]))
+    around = np.append(s - _PACE_SPACING_M, s[-1] + _PACE_SPACING_M)
+    yaw = np.unwrap(np.arctan2(*np.diff(line.at(around)[0], axis=0).T[::-1]))
     curvature = np.abs(np.gradient(yaw, _PACE_SPACING_M))
     bend_mps = np.sqrt(_LATERAL_MPS2 / np.maximum(curvature, 1e-4))
     # Along a distance s, comfortable braking changes the squared speed by 2 · b · s.

@@ -207,7 +207,7 @@ class ReferenceDrivers:
         return corridor_of(way, self._tracks, self._rows, self._future, width)
 
     def _way_from_takeover(self, start: int) -> OwnWay:
-        if self._recorded_way is self._route_way or start == self._begin:
+        if self._recorded_way is self._route_way or start == 0:
             return self._route_way
         return way_from(self._record, self._road, self._begin + start, self._way_length_m)
 

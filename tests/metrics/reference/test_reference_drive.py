@@ -14,6 +14,7 @@ from advdiff_sumo.core.errors import UnknownNameError
 from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.reference import MODELS, drive_all, drive_reference
+from advdiff_sumo.metrics.reference.reference_drive import ReferenceDrivers
 
 NORTH = math.pi / 2
 
@@ -50,6 +51,20 @@ def test_only_the_far_sighted_models_avoid_a_cut_in_of_a_third_of_a_second(strai
         assert result[name].spare_m == 0.0
         assert result[name].spare_s == 0.0
         assert result[name].impact_mps > 0.0
+
+
+def test_off_its_route_each_driver_follows_the_way_from_its_own_takeover(straight, record_of, road) -> None:
+    """Also if it takes over as many instants after the earliest takeover as that is after the record's begin."""
+    ego = straight("ego", (-190, -4.8), 0, 15, drift=0.4, steps=90)
+    record = record_of(ego, straight("still", (-60.5, -1.6), 0, 0, steps=90))
+    hit = target_collision(record, collisions(record))
+    assert hit is not None
+    begin = hit.step - 50
+    drivers = ReferenceDrivers(record, road, hit)
+    for start in (0, begin, begin + 1):
+        line = drivers._way_from_takeover(start).line
+        along_m, _ = line.project(record.tracks.xy_m[record.target, begin + start])
+        assert along_m == pytest.approx(20.0, abs=0.2)  # the way begins 20 m behind the driver
 
 
 def test_a_standing_driver_is_hit_as_well(straight, record_of, road) -> None:

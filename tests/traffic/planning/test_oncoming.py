@@ -63,7 +63,7 @@ def test_plans_over_the_line(downtown: RoadMap, lane: Lane, left: float, speed: 
     everybody = np.array([True, True])
     assert OVER_M == 0.3
     assert drives_against(downtown, plans, everybody)[1] == against
-    assert guarded(downtown, plans).lane[1] == against
+    assert guarded(downtown, plans).follows_lane[1] == against
     assert not drives_against(downtown, plans, ~everybody).any()
 
 

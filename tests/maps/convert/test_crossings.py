@@ -6,10 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import shapely
+from shapely.geometry import LineString, Polygon
 
 from advdiff_sumo.maps.convert.layout.crossings import _divide, join_crossing_lanes
+from advdiff_sumo.maps.convert.layout.cut_crossings import _crossed_lanes
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
+from advdiff_sumo.maps.on_foot.crossing_lines import band_of
 
 RIGHT, LEFT = Piece(0, 10.0, 90.0), Piece(1, 12.0, 96.0)
 OTHER = Piece(2, 0.0, 30.0)
@@ -80,3 +84,15 @@ def test_ways_that_cross_come_into_one_junction(between_m: float, divided: bool)
     assert layout.junctions(rim[0])[1] == layout.junctions(rim[1])[0] == layout.junctions(ends[0])[1]
     for own in layout.all_pieces():
         assert len(set(layout.junctions(own))) == 2  # no edge begins and ends in one junction
+
+
+def test_a_crossing_at_the_first_centimetres_of_a_bent_lane_leads_over_it() -> None:
+    """The lane ends beside its beginning, so that the direction from end to beginning runs along the crossing."""
+    lane = LineString([(0.0, 0.0), (50.0, 0.0), (50.0, 50.0), (0.0, 50.0)])
+    area = Polygon([(-1.5, -3.0), (1.7, -3.0), (1.7, 3.0), (-1.5, 3.0)])  # its axis is at x = 0.1
+    band = band_of(area, [lane])
+    assert band is not None
+    layout = layout_of([lane.length], [[Piece(0, 0.0, lane.length)]])
+    (crossed,) = _crossed_lanes(layout, band, [lane], shapely.STRtree([lane]), [3.5]) or []
+    assert crossed.from_m == 0.0
+    assert crossed.to_m == pytest.approx(0.1 + 0.5 * 3.2 + 0.5, abs=0.01)

@@ -86,7 +86,10 @@ def _crossed_lanes(
         if not isinstance(meeting, Point):
             return None
         s = lines[lane].project(meeting)
-        ahead, back = (np.asarray(lines[lane].interpolate(s + step).coords[0]) for step in (0.2, -0.2))
+        # shapely counts negative arc lengths from the end of the line
+        ahead, back = (
+            np.asarray(lines[lane].interpolate(max(s + step, 0.0)).coords[0]) for step in (0.2, -0.2)
+        )
         step = (ahead - back) / max(float(np.hypot(*(ahead - back))), 1e-9)
         if abs(float(step[0] * band.along[1] - step[1] * band.along[0])) < LEAST_SINE:
             return None

@@ -94,7 +94,7 @@ class MapTables:
                     f"node {token!r} has no finite x and y; polygons that use it are left out",
                 )
             elif token is not None:
-                nodes[str(token)] = (float(x), float(y))  # type: ignore[arg-type]  # checked by _finite
+                nodes[str(token)] = (float(x), float(y))  # type: ignore[arg-type]  # checked by finite
         return nodes
 
     def points(self, tokens: Iterable[Any], what: str) -> list[tuple[float, float]] | None:

@@ -137,7 +137,7 @@ def _centre_line_errors(
     to_source = [
         _distances(shape, [source[n] for n in numbers]) for shape, numbers in _net_lines(result, net)
     ]
-    return {"source_to_net": _statistics(to_net), "net_to_source": _statistics(to_source)}
+    return {"source_to_net": statistics_of(to_net), "net_to_source": statistics_of(to_source)}
 
 
 def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[FloatArray, list[int]]]:
@@ -157,13 +157,16 @@ def _distances(line: FloatArray, references: Sequence[FloatArray]) -> FloatArray
     return np.asarray(shapely.distance(points, shapely.MultiLineString(list(references))))
 
 
-def _statistics(values: Sequence[FloatArray]) -> dict[str, float]:
-    """Return median, 95th percentile and maximum of all *values* together."""
-    all_values = np.concatenate(values) if values else np.zeros(1)
+def statistics_of(values: Sequence[FloatArray]) -> dict[str, float | None]:
+    """Return median, 95th percentile and maximum of all finite *values* together; None if there is none."""
+    known = np.concatenate([np.zeros(0), *values])
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return {"median": None, "p95": None, "max": None}
     return {
-        "median": round(float(np.median(all_values)), 4),
-        "p95": round(float(np.percentile(all_values, 95)), 4),
-        "max": round(float(all_values.max()), 4),
+        "median": round(float(np.median(known)), 4),
+        "p95": round(float(np.percentile(known, 95)), 4),
+        "max": round(float(known.max()), 4),
     }
 
 
@@ -177,8 +180,8 @@ def _width_errors(result: ConversionResult, net: WrittenNet) -> dict[str, Any]:
             inside = profile[(profile[:, 0] >= piece.from_m) & (profile[:, 0] <= piece.to_m), 1]
             deviations.append(np.abs(inside - net.lanes[key][1]))
     return {
-        "of_the_median": _statistics([np.array(errors)] if errors else []),
-        "along_the_lane": _statistics(deviations),
+        "of_the_median": statistics_of([np.array(errors)]),
+        "along_the_lane": statistics_of(deviations),
     }
 
 

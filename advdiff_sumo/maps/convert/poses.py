@@ -14,6 +14,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.convert import ConversionResult
+from advdiff_sumo.maps.convert.fidelity import statistics_of
 from advdiff_sumo.maps.convert.netread import read_net
 from advdiff_sumo.maps.convert.widths import DEFAULT_WIDTH_M, width_between
 
@@ -75,9 +76,9 @@ def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]
         "poses": len(poses),
         "on_a_lane_of_the_net": int(on_net.sum()),
         "on_a_lane_of_the_map": int(on_map.sum()),
-        "lateral_offset_in_the_net_m": _statistics(net_offset),
-        "lateral_offset_in_the_map_m": _statistics(map_offset),
-        "difference_m": _statistics(difference),
+        "lateral_offset_in_the_net_m": statistics_of([net_offset]),
+        "lateral_offset_in_the_map_m": statistics_of([map_offset]),
+        "difference_m": statistics_of([difference]),
         "differences_above_0.05_m": int((~(difference <= 0.05) & ~off_lane).sum()),
     }
 
@@ -102,15 +103,3 @@ def nearest_offsets(
                 on_lane[index] |= abs(aside[0]) <= 0.5 * width
                 offset[index] = np.nanmin((offset[index], abs(aside[0])))
     return on_lane, offset
-
-
-def _statistics(values: FloatArray) -> dict[str, float | None]:
-    """Return median, 95th percentile and maximum of the finite *values*."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return {"median": None, "p95": None, "max": None}
-    return {
-        "median": round(float(np.median(known)), 4),
-        "p95": round(float(np.percentile(known, 95)), 4),
-        "max": round(float(known.max()), 4),
-    }

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
-from advdiff_sumo.maps.convert.fidelity import measure
+from advdiff_sumo.maps.convert.fidelity import measure, statistics_of
 from advdiff_sumo.maps.convert.netread import read_net
 from advdiff_sumo.maps.convert.poses import compare_poses
 from advdiff_sumo.maps.convert.repair import repair
@@ -34,6 +34,13 @@ def check_invariants(result: ConversionResult) -> None:
     assert figures["connections"]["invented"] == []
     for way in ("source_to_net", "net_to_source"):
         assert figures["centre_line_error_m"][way]["max"] <= 0.02
+
+
+def test_an_error_that_was_not_measured_is_not_zero() -> None:
+    assert statistics_of([]) == {"median": None, "p95": None, "max": None}
+    assert statistics_of([np.array([np.nan])]) == statistics_of([])
+    values = [np.array([1.0, 3.0]), np.array([2.0, np.nan])]
+    assert statistics_of(values) == {"median": 2.0, "p95": 2.9, "max": 3.0}
 
 
 def test_lanes_side_by_side_share_an_edge_right_to_left(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.wording import counted
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.maps.opposite_lanes import BODY_M, from_opposite_m, keeps_left
+from advdiff_sumo.maps.opposite_lanes import BODY_M, keeps_left, opposite_offsets_m
 from advdiff_sumo.maps.roadmap import RoadMap
 
 _LEAP_M = 1.0  # largest gap between two lanes that need no internal lane between them
@@ -25,7 +25,7 @@ _REMEDY = "write it anew with netconvert"
 def net_oddities(road: RoadMap) -> list[str]:
     """Return a sentence on each such fault of *road*; none for a sound net."""
     lanes = [lane for lane in road.lanes.values() if lane.is_drivable and not lane.is_internal]
-    opposite_m = from_opposite_m([lane.line for lane in lanes])
+    opposite_m = opposite_offsets_m([lane.line for lane in lanes])
     overlapping_ids = [
         lane.id for lane, is_near in zip(lanes, np.abs(opposite_m) < BODY_M, strict=True) if is_near
     ]

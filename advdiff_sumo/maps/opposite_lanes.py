@@ -19,7 +19,7 @@ _SURE_SHARE = 0.8  # share of these lanes that must agree on the side of the roa
 _FEWEST_LANES = 4  # fewest lanes from which the side of the road is inferred
 
 
-def from_opposite_m(lines: Sequence[Polyline]) -> FloatArray:
+def opposite_offsets_m(lines: Sequence[Polyline]) -> FloatArray:
     """Return the lateral offset of each lane from the nearest lane of the other direction.
 
     Args:
@@ -48,7 +48,7 @@ def keeps_left(opposite_m: FloatArray) -> bool | None:
     """Return whether traffic drives on the left; None if the lanes leave it open.
 
     Args:
-        opposite_m: (N,) result of :func:`from_opposite_m`.
+        opposite_m: (N,) result of :func:`opposite_offsets_m`.
     """
     beside_m = opposite_m[np.abs(opposite_m) >= BODY_M]
     if len(beside_m) < _FEWEST_LANES:

@@ -20,7 +20,7 @@ _SHORTEST_M = 0.01  # length of the shortest path
 
 
 @dataclass(frozen=True)
-class LaneOutlook:
+class LaneReach:
     """How far a vehicle can follow a route from a lane without changing lanes.
 
     Attributes:
@@ -65,8 +65,8 @@ class LanePath:
         speed_mps: (P,) speed limit at each point of the line.
         links: links on the path, the nearest first.
         offset: number of lane changes from the first lane to the nearest best one, left positive.
-        reaches_m: distance after which a lane change is needed to follow the route, or the route ends; may be
-            greater than the length of the line.
+        lane_change_after_m: distance after which a lane change is needed to follow the route, or the route ends; may
+            be greater than the length of the line.
         complete: whether the route can be followed to its end without changing lanes.
     """
 
@@ -76,7 +76,7 @@ class LanePath:
     speed_mps: FloatArray
     links: tuple[PathLink, ...]
     offset: int
-    reaches_m: float
+    lane_change_after_m: float
     complete: bool
 
 
@@ -97,35 +97,35 @@ class PathFinder:
         self._edges = edges
         self._route = tuple(route)
         self._vclass = vclass
-        self.outlooks: tuple[Mapping[str, LaneOutlook], ...] = self._all_outlooks()
+        self.reaches: tuple[Mapping[str, LaneReach], ...] = self._all_reaches()
 
-    def _all_outlooks(self) -> tuple[Mapping[str, LaneOutlook], ...]:
-        """Return the outlooks (by lane id) of the permitted lanes of each edge of the route, from its end backwards."""
-        reversed_outlooks: list[dict[str, LaneOutlook]] = []
-        following: dict[str, LaneOutlook] | None = None
+    def _all_reaches(self) -> tuple[Mapping[str, LaneReach], ...]:
+        """Return the reaches (by lane id) of the permitted lanes of each edge of the route, from its end backwards."""
+        reversed_reaches: list[dict[str, LaneReach]] = []
+        following: dict[str, LaneReach] | None = None
         for edge_id in reversed(self._route):
             lanes = [self._lanes[x] for x in self._edges[edge_id].lane_ids]
-            outlooks = {x.id: self._outlook(x, following) for x in lanes if x.permits(self._vclass)}
-            following = self._with_offsets(outlooks)
-            reversed_outlooks.append(following)
-        return tuple(reversed(reversed_outlooks))
+            reaches = {x.id: self._reach(x, following) for x in lanes if x.permits(self._vclass)}
+            following = self._with_offsets(reaches)
+            reversed_reaches.append(following)
+        return tuple(reversed(reversed_reaches))
 
-    def _outlook(self, lane: Lane, following: Mapping[str, LaneOutlook] | None) -> LaneOutlook:
-        """Return the outlook of *lane*, without its offset, given those of the *following* edge of the route."""
+    def _reach(self, lane: Lane, following: Mapping[str, LaneReach] | None) -> LaneReach:
+        """Return the reach of *lane*, without its offset, given those of the *following* edge of the route."""
         links = [link for link in lane.successors if link.to_lane in (following or {})]
         if following is None or not links:
-            return LaneOutlook(lane.id, 1, lane.length_m, 0, None)
+            return LaneReach(lane.id, 1, lane.length_m, 0, None)
         best = max(
             links, key=lambda x: (following[x.to_lane].follow_edges, -abs(following[x.to_lane].offset))
         )
         onward = following[best.to_lane]
         length = lane.length_m + sum(self._lanes[x].length_m for x in best.via) + onward.follow_m
-        return LaneOutlook(lane.id, 1 + onward.follow_edges, length, 0, best)
+        return LaneReach(lane.id, 1 + onward.follow_edges, length, 0, best)
 
-    def _with_offsets(self, outlooks: Mapping[str, LaneOutlook]) -> dict[str, LaneOutlook]:
-        most_edges = max((o.follow_edges for o in outlooks.values()), default=0)
-        best_lanes = [name for name, o in outlooks.items() if o.follow_edges == most_edges]
-        return {name: replace(o, offset=self._offset(name, best_lanes)) for name, o in outlooks.items()}
+    def _with_offsets(self, reaches: Mapping[str, LaneReach]) -> dict[str, LaneReach]:
+        most_edges = max((o.follow_edges for o in reaches.values()), default=0)
+        best_lanes = [name for name, o in reaches.items() if o.follow_edges == most_edges]
+        return {name: replace(o, offset=self._offset(name, best_lanes)) for name, o in reaches.items()}
 
     def _offset(self, lane_id: str, goals: Sequence[str]) -> int:
         """Return the least number of lane changes (left positive) from *lane_id* to one of the lanes *goals*."""
@@ -166,16 +166,16 @@ class PathFinder:
         xy = lane.line.at(start_s_m)[0]
         paths = []
         for name in sorted(parallel_lanes, key=lambda x: (abs(self._lanes[x].index - lane.index), x)):
-            if name in self.outlooks[number]:
+            if name in self.reaches[number]:
                 s = float(np.clip(start_s_m, 0.0, lane.length_m)) if name == lane.id else None
                 s = float(self._lanes[name].line.project(xy)[0]) if s is None else s
                 paths.append(self._path([name], number, s, horizon_m))
         return paths
 
     def _from_internal(self, lane: Lane, start_s_m: float, horizon_m: float) -> list[LanePath]:
-        for number, outlook in enumerate(self.outlooks[1:], start=1):
+        for number, edge_reaches in enumerate(self.reaches[1:], start=1):
             for link in lane.successors:
-                if link.to_lane in outlook:
+                if link.to_lane in edge_reaches:
                     s = float(np.clip(start_s_m, 0.0, lane.length_m))
                     return [self._path([lane.id, *link.via, link.to_lane], number, s, horizon_m)]
         return []
@@ -185,16 +185,16 @@ class PathFinder:
 
         *s_m* is the start, from the beginning of the first of these lanes.
         """
-        first, first_number = self.outlooks[number][lane_ids[-1]], number
+        first, first_number = self.reaches[number][lane_ids[-1]], number
         internal_m = sum(self._lanes[x].length_m for x in lane_ids[:-1])
         length_m = internal_m + self._lanes[lane_ids[-1]].length_m - s_m
-        outlook, links = first, list[tuple[int, Link]]()
-        while length_m < horizon_m and outlook.next_link is not None:
-            link, number = outlook.next_link, number + 1
+        reach, links = first, list[tuple[int, Link]]()
+        while length_m < horizon_m and reach.next_link is not None:
+            link, number = reach.next_link, number + 1
             links.append((len(lane_ids), link))
             lane_ids += [*link.via, link.to_lane]
             length_m += sum(self._lanes[x].length_m for x in (*link.via, link.to_lane))
-            outlook = self.outlooks[number][link.to_lane]
+            reach = self.reaches[number][link.to_lane]
         complete = first_number + first.follow_edges == len(self._route)
         follow_m = internal_m + first.follow_m
         return self._joined(lane_ids, links, s_m, horizon_m, first.offset, follow_m, complete)
@@ -227,7 +227,7 @@ class PathFinder:
             speed_mps=np.array([lane.speed_mps for lane in lanes])[lane_row],
             links=tuple(x for x in path_links if x.s_m <= line.length_m),
             offset=offset,
-            reaches_m=follow_m - s_m,
+            lane_change_after_m=follow_m - s_m,
             complete=complete,
         )
 

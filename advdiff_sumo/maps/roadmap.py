@@ -228,7 +228,7 @@ class RoadMap:
         return self._edge_graphs[vclass]
 
     @cached_property
-    def link_over(self) -> Mapping[str, Link]:
+    def link_of_internal_lane(self) -> Mapping[str, Link]:
         """Internal lane id → the link that it is part of."""
         return {lane: link for link in self.links.values() for lane in link.via}
 

@@ -161,7 +161,7 @@ class Actuator:
 
     def _edges_at(self, lane_id: str) -> list[str]:
         """Return the shortest route over *lane_id*; for a lane of a junction, the two edges that it connects."""
-        link = self.road.link_over.get(lane_id)
+        link = self.road.link_of_internal_lane.get(lane_id)
         ends = (lane_id,) if link is None else (link.from_lane, link.to_lane)
         return [self.road.edge_of(lane) for lane in ends]
 
@@ -219,7 +219,7 @@ class Actuator:
 
     def _connected_edges(self, lane_id: str) -> tuple[str, ...]:
         """Return the edge of *lane_id* and its successors, alternating; in a junction, those of the edge before it."""
-        link = self.road.link_over.get(lane_id)
+        link = self.road.link_of_internal_lane.get(lane_id)
         if lane_id not in self.road.lanes:
             return ()
         edge = self.road.edge_of(lane_id if link is None else link.from_lane)

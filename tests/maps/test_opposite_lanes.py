@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.polylines import Polyline
-from advdiff_sumo.maps.opposite_lanes import from_opposite_m, keeps_left
+from advdiff_sumo.maps.opposite_lanes import keeps_left, opposite_offsets_m
 
 
 def line(x0: float, y0: float, x1: float, y1: float) -> Polyline:
@@ -22,11 +22,11 @@ def two_way(y_m: float, side_m: float) -> list[Polyline]:
 def test_distances_by_hand() -> None:
     crossing, same, far = line(50.0, -50.0, 50.0, 50.0), line(0.0, -3.0, 100.0, -3.0), two_way(200.0, 7.0)
     lanes = [*two_way(0.0, 3.5), crossing, same, *far]
-    assert from_opposite_m(lanes) == pytest.approx([3.5, 3.5, np.nan, np.nan, np.nan, np.nan], nan_ok=True)
-    assert from_opposite_m([*two_way(0.0, 5.0), *two_way(0.0, -3.0)[1:]])[0] == pytest.approx(
+    assert opposite_offsets_m(lanes) == pytest.approx([3.5, 3.5, np.nan, np.nan, np.nan, np.nan], nan_ok=True)
+    assert opposite_offsets_m([*two_way(0.0, 5.0), *two_way(0.0, -3.0)[1:]])[0] == pytest.approx(
         -3.0
     )  # the nearest
-    assert from_opposite_m([]).shape == (0,)
+    assert opposite_offsets_m([]).shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -42,4 +42,4 @@ def test_distances_by_hand() -> None:
 )
 def test_the_side_that_most_lanes_are_on(sides_m: tuple[float, ...], left: bool | None) -> None:
     lanes = [lane for k, side_m in enumerate(sides_m) for lane in two_way(50.0 * k, side_m)]
-    assert keeps_left(from_opposite_m(lanes)) is left
+    assert keeps_left(opposite_offsets_m(lanes)) is left

@@ -70,7 +70,7 @@ def test_lane_choice_on_the_cross(road):
     assert [p.lane_ids[0] for p in paths] == ["WC_0", "WC_1"]
     assert [p.offset for p in paths] == [1, 0]
     assert [p.complete for p in paths] == [False, True]
-    assert paths[0].reaches_m == pytest.approx(42.8)
+    assert paths[0].lane_change_after_m == pytest.approx(42.8)
     assert paths[0].lane_ids == ("WC_0",)
     assert paths[0].line.length_m == pytest.approx(42.8)
     assert [p.offset for p in road.lane_path(("WC", "CS"), "WC_1", 200.0)] == [-1, 0]

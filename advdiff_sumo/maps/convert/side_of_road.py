@@ -7,7 +7,7 @@ from dataclasses import replace
 from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.maps.convert.projection import drives_left
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceMap
-from advdiff_sumo.maps.opposite_lanes import from_opposite_m, keeps_left
+from advdiff_sumo.maps.opposite_lanes import keeps_left, opposite_offsets_m
 
 
 def with_side_of_the_road(source: SourceMap) -> SourceMap:
@@ -19,7 +19,7 @@ def with_side_of_the_road(source: SourceMap) -> SourceMap:
         for lane in source.lanes
         if lane.use is not LaneUse.BICYCLE and not lane.is_connector
     ]
-    if not keeps_left(from_opposite_m(lines)):
+    if not keeps_left(opposite_offsets_m(lines)):
         return source
     sentence = (
         f"{source.path.name}: traffic keeps left by where its lanes lie; --righthand says that it does not"

@@ -111,7 +111,7 @@ def _links_ahead(view: TrafficView, entry: JunctionEntry, row: int) -> tuple[Lin
     """Return the links that *row* uses or may take over the junction, as the target passes its line."""
     lane = view.place(row, entry.line_step, entry.line_step + 1).lane[0]
     if lane is not None and junction_of(view.road, lane) == entry.link.junction_id:
-        link = view.road.link_over.get(lane)
+        link = view.road.link_of_internal_lane.get(lane)
         return () if link is None else (link,)
     return links_onto(view.road, lane, entry.link.junction_id)
 

@@ -157,7 +157,7 @@ def _remaining_route(record: EpisodeRecord, road: RoadMap, step: int) -> tuple[s
 
 
 def _long_enough(path: LanePath, reach_m: float) -> bool:
-    return path.complete or path.reaches_m >= reach_m
+    return path.complete or path.lane_change_after_m >= reach_m
 
 
 def _extended_route(
@@ -171,7 +171,7 @@ def _extended_route(
 
     *paths_along* returns the lane paths from the target's position along a route.
     """
-    link = road.link_over.get(lane_id)
+    link = road.link_of_internal_lane.get(lane_id)
     route = [road.lanes[x].edge_id for x in ((lane_id,) if link is None else (link.from_lane, link.to_lane))]
     if route[-1] in edges:
         route += edges[edges.index(route[-1]) + 1 :]

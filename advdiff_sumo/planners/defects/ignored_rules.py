@@ -142,7 +142,7 @@ def _as_if_green(road: RoadMap, link: Link, signals: Mapping[str, str]) -> Mappi
 
 def _requests_from(road: RoadMap, lane: str) -> set[tuple[str, int]]:
     """Return (junction, request index) of the links that a road user in *lane* takes or may take next."""
-    on_junction = road.link_over.get(lane)
+    on_junction = road.link_of_internal_lane.get(lane)
     links = (on_junction,) if on_junction is not None else road.lanes[lane].successors
     return {(link.junction_id, link.request_index) for link in links}
 

@@ -145,7 +145,7 @@ def _chains(geometry: Geometry, lane: str, route: Sequence[str], reach_m: float)
     On a junction they begin with the lane before it: the vehicle may be on any connection from that lane.
     """
     road = geometry.road
-    link = geometry.road.link_over.get(lane)
+    link = geometry.road.link_of_internal_lane.get(lane)
     length_m = reach_m + road.lanes[lane].length_m
     if link is None:
         return plausible_chains(road, lane, route, length_m, geometry.changes)

@@ -166,7 +166,7 @@ def locate(
     if lane is None:
         return None
     edges = _edges_ahead(geometry.road, lane, tuple(route) or memory.route, memory, waited_s)[:_EDGES_AHEAD]
-    return Place(lane, edges, geometry.changes(edges), geometry.road.link_over.get(lane))
+    return Place(lane, edges, geometry.changes(edges), geometry.road.link_of_internal_lane.get(lane))
 
 
 def _edges_ahead(
@@ -198,7 +198,7 @@ def _likeliest(
 
 def _is_on_route(geometry: Geometry, lane: str, route: Sequence[str]) -> bool:
     """Return whether *lane*, or the lane beyond it on a junction, is on *route*."""
-    link = geometry.road.link_over.get(lane)
+    link = geometry.road.link_of_internal_lane.get(lane)
     beyond = lane if link is None else link.to_lane
     return geometry.road.lanes[beyond].edge_id in route
 
@@ -243,7 +243,7 @@ def variants(
         if beside is None or (place.over is not None and beside not in memory.lanes):
             continue
         if road.lanes[beside].permits("passenger"):
-            chain = _chain(road, beside, replace(place, over=road.link_over.get(beside)), reach_m)
+            chain = _chain(road, beside, replace(place, over=road.link_of_internal_lane.get(beside)), reach_m)
             choices += _variants(geometry, state, chain, side, (0.0,), options)
     return choices
 

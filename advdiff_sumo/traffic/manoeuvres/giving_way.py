@@ -94,7 +94,7 @@ def _entry(view: SituationView, row: int) -> _Entry | None:
     if way is None:
         return None
     lane, size = way.present_lane, view.size(row)
-    link = view.road.link_over.get(lane.id)
+    link = view.road.link_of_internal_lane.get(lane.id)
     if link is not None:
         driven_lanes = link.via[: link.via.index(lane.id)]
         line_m = -way.lane.s_m - sum(view.road.lanes[name].length_m for name in driven_lanes)

@@ -78,7 +78,8 @@ class SituationView:
     @cached_property
     def target_link(self) -> Link | None:
         """The link over the junction that the target is on; None where it is on none."""
-        return None if self.target is None else self.road.link_over.get(self.target.way.present_lane.id)
+        links = self.road.link_of_internal_lane
+        return None if self.target is None else links.get(self.target.way.present_lane.id)
 
     def speed(self, row: int) -> float:
         """Return the present speed of *row*, at least 0."""

@@ -30,4 +30,4 @@ def right_of_way(road: RoadMap, lanes: Sequence[LaneAhead | None]) -> BoolArray:
 def _link_ahead(road: RoadMap, lane: LaneAhead | None) -> Link | None:
     """Return the link over the junction that *lane* is on or leads to."""
     internal = next((part.id for part in lane.lanes if part.is_internal), None) if lane is not None else None
-    return None if internal is None else road.link_over.get(internal)
+    return None if internal is None else road.link_of_internal_lane.get(internal)

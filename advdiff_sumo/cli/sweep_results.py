@@ -18,7 +18,7 @@ from advdiff_sumo.core.errors import UNEXPLAINED_KINDS, FileError, os_reason
 from advdiff_sumo.core.wording import counted, in_series
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
-from advdiff_sumo.metrics.near_miss import resolved
+from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.severity import has_outcome, is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import plan_lines, position_lines
@@ -267,7 +267,7 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
             what = f"valid failure: {what}" if is_valid_failure(row) else what
             what += ", then failed" if is_failure(row) else ""
         elif row.get("critical"):
-            what = f"critical near miss, {resolved(row['resolved_by'])}"
+            what = f"critical near miss, {resolution_clause(row['resolved_by'])}"
         values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
         who = (row[side] + _short(row[f"{side}_options"]) for side in ("target", "background"))
         table.add_row(row["key"], *who, what, *values)

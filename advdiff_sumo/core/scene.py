@@ -129,7 +129,7 @@ class Tracks:
             valid=self.valid & mask,
         )
 
-    def driving(self, plan: KinematicStates, t0_s: float, dt_s: float) -> Tracks:
+    def with_states(self, plan: KinematicStates, t0_s: float, dt_s: float) -> Tracks:
         """Return these agents with the states of *plan* (A, T), all valid."""
         return replace(
             self,

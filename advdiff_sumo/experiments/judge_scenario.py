@@ -20,7 +20,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.offences import offences_sentence
 from advdiff_sumo.metrics.columns import CRITICAL_COLUMNS, OFFENCE_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.metric_rows import episode_row
-from advdiff_sumo.metrics.near_miss import resolved
+from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.summary import EpisodeMetrics, summarise
 from advdiff_sumo.report.stored_record import record_of_states
 
@@ -139,7 +139,7 @@ def _outcome(metrics: EpisodeMetrics) -> str:
     near_miss = metrics.near_miss
     if near_miss is not None and near_miss.critical:
         braking = f"a careful driver would have had to brake at {near_miss.brake_mps2:.2f} m/s²"
-        return f"critical at {near_miss.time_s:.1f} s: {braking}; {resolved(near_miss.resolved_by)}"
+        return f"critical at {near_miss.time_s:.1f} s: {braking}; {resolution_clause(near_miss.resolved_by)}"
     return "no collision"
 
 

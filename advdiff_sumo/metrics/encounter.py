@@ -156,7 +156,7 @@ class Encounter:
         return first.from_lane.rsplit("_", 1)[0] != second.from_lane.rsplit("_", 1)[0]
 
 
-def encounter(view: TrafficView, collision: Collision) -> Encounter:
+def encounter_of(view: TrafficView, collision: Collision) -> Encounter:
     """Return the circumstances of *collision*, of any two agents of *view*."""
     step = collision.step
     start = max(0, step - view.steps(HISTORY_S))

@@ -16,7 +16,7 @@ from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.fault import OFF_ROAD
 from advdiff_sumo.metrics.offroad import OffRoad
-from advdiff_sumo.metrics.summary import Criticality, EpisodeMetrics, Judged, judged, summarise
+from advdiff_sumo.metrics.summary import Criticality, EpisodeMetrics, Judged, judged_collision, summarise
 from advdiff_sumo.metrics.verdict import Verdict, judge
 
 Value: TypeAlias = str | int | float | bool | None
@@ -149,7 +149,7 @@ def _pair_row(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics, c: Collis
     if m.struck is not None and c is m.struck.collision:
         return _struck_values(record, m.struck)
     if c.rows[0] == record.target and not c.initial:
-        return _struck_values(record, judged(record, road, c))
+        return _struck_values(record, judged_collision(record, road, c))
     return _plain_values(record, c)
 
 

@@ -99,7 +99,7 @@ def near_miss(record: EpisodeRecord, road: RoadMap) -> NearMiss | None:
     return NearMiss(row, time_s, brake, _resolved_by(record, row, step))
 
 
-def careful_drive(record: EpisodeRecord, road: RoadMap, missed: NearMiss) -> ReferenceDrive | None:
+def careful_driver_drive(record: EpisodeRecord, road: RoadMap, missed: NearMiss) -> ReferenceDrive | None:
     """Return the drive of the careful and competent driver in the near miss *missed*.
 
     None if it is at the first instant, or if the target was absent before.
@@ -108,7 +108,7 @@ def careful_drive(record: EpisodeRecord, road: RoadMap, missed: NearMiss) -> Ref
     return _drive(record, road, missed.row, step)
 
 
-def resolved(by: str | None) -> str:
+def resolution_clause(by: str | None) -> str:
     """Return which party resolved a near miss, as part of a sentence; *by* is a :class:`ResolvedBy` value or None."""
     return "the record ends before it is resolved" if by is None else f"resolved by: {by}"
 

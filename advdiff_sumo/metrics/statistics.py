@@ -65,7 +65,7 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     return max(centre - half, 0.0) if count else 0.0, min(centre + half, 1.0) if count < total else 1.0
 
 
-def spread(low: float, high: float, trials: int) -> tuple[float, float]:
+def widened_interval(low: float, high: float, trials: int) -> tuple[float, float]:
     """Return the bootstrap interval of a paired difference of rates, widened if it has no width.
 
     If all pairs have the same difference (for example, if none is discordant), resampling shows no spread. Since none

@@ -140,13 +140,13 @@ def summarise(record: EpisodeRecord, road: RoadMap, solvable: bool | None = None
     before = _before(record, struck, left_road)
     criticality = _criticality(record, road, before, struck)
     is_near_miss_possible = struck is None and left_road is None and record.end is not EndReason.FAILED
-    judged_collision = None if struck is None else judged(record, road, struck, solvable)
+    judged = None if struck is None else judged_collision(record, road, struck, solvable)
     return EpisodeMetrics(
         contacts=tuple(contacts),
-        struck=judged_collision,
+        struck=judged,
         left_road=left_road,
         near_miss=near_miss(record, road) if is_near_miss_possible else None,
-        offences=_with_breaches_of(judged_collision, offences(record, road)),
+        offences=_with_breaches_of(judged, offences(record, road)),
         sumo=compare_with_sumo(record, touches),
         criticality=criticality,
         comfort=comfort(before, record.target),
@@ -172,7 +172,7 @@ def _before(record: EpisodeRecord, struck: Collision | None, left_road: OffRoad 
     return record.tracks if left_road is None else record.tracks.window(0, left_road.step + 1)
 
 
-def judged(
+def judged_collision(
     record: EpisodeRecord, road: RoadMap, collision: Collision, solvable: bool | None = None
 ) -> Judged:
     """Return a collision of the target with its verdict and whether the target perceived its partner."""

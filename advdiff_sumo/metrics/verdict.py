@@ -17,7 +17,7 @@ from advdiff_sumo.metrics.breaches.junction_rules import signals_are_unknown
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType, collision_type
-from advdiff_sumo.metrics.encounter import Encounter, encounter
+from advdiff_sumo.metrics.encounter import Encounter, encounter_of
 from advdiff_sumo.metrics.fault import OFF_ROAD, AtFault, Fault, fault_of
 from advdiff_sumo.metrics.offroad import OffRoad
 from advdiff_sumo.metrics.reference import MODELS, ReferenceDrive, drive_all
@@ -96,7 +96,7 @@ def judge(
     if isinstance(collision, OffRoad):
         return _off_road()
     view = TrafficView.of_record(record, road)
-    case = encounter(view, collision)
+    case = encounter_of(view, collision)
     kind = collision_type(case)
     fault = fault_of(view, case, kind)
     breaches = breaches_of(view, case, 0), breaches_of(view, case, 1)

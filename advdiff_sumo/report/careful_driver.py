@@ -8,7 +8,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
-from advdiff_sumo.metrics.near_miss import careful_drive, near_miss
+from advdiff_sumo.metrics.near_miss import careful_driver_drive, near_miss
 from advdiff_sumo.metrics.reference import ReferenceDrive, drive_reference
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.stored_record import record_of_states
@@ -35,7 +35,7 @@ def drive_of(run: FinishedRun, row: Row, states: EpisodeStates, road: RoadMap) -
         contact = target_collision(record, collisions(record))
         return None if contact is None else drive_reference(record, road, contact)
     critical_moment = near_miss(record, road)
-    return None if critical_moment is None else careful_drive(record, road, critical_moment)
+    return None if critical_moment is None else careful_driver_drive(record, road, critical_moment)
 
 
 def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:
@@ -44,4 +44,4 @@ def tracks_of(drive: ReferenceDrive, states: EpisodeStates) -> Tracks:
     count = min(len(drive.states.speed_mps), tracks.steps - drive.takeover_step)
     target = replace(tracks.rows([states.target]), ids=(NAME,))
     shown_states = drive.states.mapped(lambda part: part[None, :count])
-    return target.driving(shown_states, drive.takeover_step * tracks.dt_s, tracks.dt_s)
+    return target.with_states(shown_states, drive.takeover_step * tracks.dt_s, tracks.dt_s)

@@ -11,7 +11,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.metrics.near_miss import resolved
+from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.severity import badge, is_failure
 from advdiff_sumo.report.blocks import deviating_tracks, episode_block
@@ -216,7 +216,9 @@ def _outcome(row: Row) -> str:
         return failed
     if row["critical"]:
         brake = number(row["critical_brake_mps2"], 1, "m/s²")
-        return f"A careful driver would have had to brake at {brake}; {resolved(row['resolved_by'])}."
+        return (
+            f"A careful driver would have had to brake at {brake}; {resolution_clause(row['resolved_by'])}."
+        )
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
         return f"No collision; the least gap was {gap}."

@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from advdiff_sumo.metrics.near_miss import resolved
+from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.severity import badge
 
 ASSETS = Path(__file__).parent / "assets"
@@ -40,7 +40,7 @@ def templates() -> Environment:
         "yes_no": yes_no,
         "title": title,
         "badge": badge,
-        "resolved": resolved,
+        "resolved": resolution_clause,
         "breaches_of": breaches_of,
         "further_offences": further_offences,
         "as_json": as_json,

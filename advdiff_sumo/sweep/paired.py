@@ -12,7 +12,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, did_you_mean
 from advdiff_sumo.metrics.severity import has_outcome
-from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar, spread
+from advdiff_sumo.metrics.statistics import TAILS, Rate, bootstrap_counts, mcnemar, widened_interval
 from advdiff_sumo.sweep.summary_stats import EVENTS, Row
 
 _CELL_COLUMNS = ("target", "target_options", "background", "background_options")
@@ -43,7 +43,7 @@ class RateChange:
         only_a: pairs with the event in the first only.
         only_b: pairs with the event in the second only.
         low: lower end of the 95 % bootstrap interval of the difference b − a; if it is the same in all pairs, see
-            :func:`~advdiff_sumo.metrics.statistics.spread`.
+            :func:`~advdiff_sumo.metrics.statistics.widened_interval`.
         high: upper end.
         p: p-value of the exact McNemar test, two-sided (doi:10.1007/BF02295996); 1 without discordant pairs.
         episodes_a: numbers of the first's episodes of *only_a*.
@@ -255,7 +255,7 @@ def _rate(pairs: Sequence[tuple[Row, Row]], draws: _Bootstrap, happened: Callabl
     flags = np.array([[happened(a), happened(b)] for a, b in pairs], dtype=np.float64)
     outcomes = Counter((bool(a), bool(b)) for a, b in flags)
     only_a, only_b = outcomes[(True, False)], outcomes[(False, True)]
-    low, high = spread(*draws.interval(flags[:, 1] - flags[:, 0], range(len(pairs))), draws.scenes)
+    low, high = widened_interval(*draws.interval(flags[:, 1] - flags[:, 0], range(len(pairs))), draws.scenes)
     count = len(pairs)
     a, b = (Rate.of(int(flags[:, side].sum()), count) for side in (0, 1))
     episodes_alone = [

@@ -292,4 +292,4 @@ def tracks_of(view: View, futures: Futures) -> Tracks:
     """Return the plans of the moved vehicles."""
     rows = np.flatnonzero(view.moved)
     plans = futures.mapped(lambda part: part[rows, 1:])
-    return view.now.rows(rows).driving(plans, view.scene.time_s + futures.dt_s, futures.dt_s)
+    return view.now.rows(rows).with_states(plans, view.scene.time_s + futures.dt_s, futures.dt_s)

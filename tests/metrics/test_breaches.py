@@ -16,8 +16,8 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import breaches_of, conduct_breaches
 from advdiff_sumo.metrics.collision import collisions, target_collision, tracks_collisions
-from advdiff_sumo.metrics.encounter import encounter
-from advdiff_sumo.metrics.summary import judged
+from advdiff_sumo.metrics.encounter import encounter_of
+from advdiff_sumo.metrics.summary import judged_collision
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from tests.metrics.encounters import (
     DT_S,
@@ -41,7 +41,7 @@ def broken(record, road: RoadMap) -> tuple[list[str], list[str]]:
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
     view = TrafficView.of_record(record, road)
-    case = encounter(view, hit)
+    case = encounter_of(view, hit)
     own, other = ([str(x.kind) for x in breaches_of(view, case, index)] for index in (0, 1))
     return own, other
 
@@ -50,7 +50,7 @@ def blame(record, road: RoadMap) -> tuple[str, str]:
     """Return kind and fault of the target's first collision."""
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
-    result = judged(record, road, hit)
+    result = judged_collision(record, road, hit)
     return str(result.kind), str(result.fault.at_fault)
 
 
@@ -164,7 +164,7 @@ def test_a_breach_without_a_recorded_entry_has_the_time_of_the_contact(road) -> 
     hit = target_collision(record_of(east, north), collisions(record_of(east, north)))
     assert hit is not None
     view = TrafficView.of_record(record_of(east, north), road)
-    (breach,) = breaches_of(view, encounter(view, hit), 1)
+    (breach,) = breaches_of(view, encounter_of(view, hit), 1)
     assert str(breach.kind) == "right_of_way"
     assert breach.time_s == pytest.approx(DT_S * hit.step)
 
@@ -394,8 +394,8 @@ def test_pushed_by_a_third_into_the_one_ahead(road) -> None:
     hits = [c for c in collisions(record) if 0 in c.rows and 1 in c.rows]
     assert len(hits) == 1
     view = TrafficView.of_record(record, road)
-    assert breaches_of(view, encounter(view, hits[0]), 0) == ()
-    assert str(judged(record, road, hits[0]).fault.at_fault) == "other"
+    assert breaches_of(view, encounter_of(view, hits[0]), 0) == ()
+    assert str(judged_collision(record, road, hits[0]).fault.at_fault) == "other"
 
 
 def test_a_target_that_stands_is_not_at_fault(road) -> None:
@@ -483,6 +483,6 @@ def test_the_rules_hold_for_plans(road) -> None:
     ).tracks
     view = TrafficView(plan, road)
     (contact,) = tracks_collisions(plan, target=0)
-    case = encounter(view, contact)
+    case = encounter_of(view, contact)
     assert [str(x.kind) for x in breaches_of(view, case, 1)] == ["unsafe_lane_entry"]
     assert breaches_of(view, case, 0) == ()

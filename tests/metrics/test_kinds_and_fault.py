@@ -16,7 +16,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.metrics.summary import attacker_visible, judged, summarise
+from advdiff_sumo.metrics.summary import attacker_visible, judged_collision, summarise
 
 NORTH = math.pi / 2
 
@@ -25,7 +25,7 @@ def outcome(record, road) -> tuple[str, str, str]:
     """Return kind, fault and reason of the target's first collision."""
     hit = target_collision(record, collisions(record))
     assert hit is not None, "the record was meant to hold a collision"
-    result = judged(record, road, hit)
+    result = judged_collision(record, road, hit)
     return str(result.kind), str(result.fault.at_fault), result.fault.reason
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from advdiff_sumo.metrics.collision import collisions
 from advdiff_sumo.metrics.criticality import smallest, time_to_collision
-from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolved
+from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolution_clause
 from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, straight
 
 
@@ -160,8 +160,8 @@ def test_a_record_that_ends_before_the_near_miss_is_resolved(road) -> None:
     found = near_miss(record_of(ego, lead), road)
     assert found is not None
     assert found.resolved_by is None
-    assert resolved(found.resolved_by) == "the record ends before it is resolved"
-    assert resolved(ResolvedBy.TARGET) == "resolved by: target"
+    assert resolution_clause(found.resolved_by) == "the record ends before it is resolved"
+    assert resolution_clause(ResolvedBy.TARGET) == "resolved by: target"
 
 
 def test_a_vehicle_that_appears_at_the_last_instant_leaves_it_unresolved(road) -> None:

@@ -23,7 +23,7 @@ from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Esti
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
-from advdiff_sumo.metrics.statistics import TAILS, spread, wilson
+from advdiff_sumo.metrics.statistics import TAILS, widened_interval, wilson
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.sweep.tasks import WorkerLimits
 
@@ -216,7 +216,7 @@ class Pooled:
         warm_ups, scenes = _bootstrap_draws(after.hits.shape)
         ones = np.ones((len(scenes), len(earlier.hits)))
         interval = np.percentile(after.at(warm_ups, scenes) - earlier.at(ones, scenes), TAILS)
-        low, high = spread(float(interval[0]), float(interval[1]), len(rows))
+        low, high = widened_interval(float(interval[0]), float(interval[1]), len(rows))
         return Difference(float(after.hits.mean() - earlier.hits.mean()), low, high, None, len(rows))
 
     def _rows(self, rows: IntArray) -> Pooled:

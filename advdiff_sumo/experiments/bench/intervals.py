@@ -18,7 +18,7 @@ from advdiff_sumo.metrics.statistics import (
     bootstrap_counts,
     jensen_shannon,
     mcnemar,
-    spread,
+    widened_interval,
     wilson,
 )
 
@@ -48,7 +48,8 @@ class Difference:
 
     Attributes:
         value: the difference; None if one of them is undefined.
-        low: lower end of its 95 % bootstrap interval; for rates whose pairs all differ equally, see ``spread``.
+        low: lower end of its 95 % bootstrap interval; for rates whose pairs all differ equally, see
+            ``widened_interval``.
         high: upper end.
         p: exact McNemar test, two-sided (doi:10.1007/BF02295996); None for figures that are no rates of episodes.
         scenes: number of seed scenes that both have.
@@ -191,7 +192,7 @@ def difference(sample: Sample, other: Sample) -> Difference:
     times = draws(len(a.scenes))
     low, high = _percentiles(_bias_corrected(a, a.at(times) - b.at(times), value))
     if low is not None and high is not None and _is_rate(a) and _is_rate(b):
-        low, high = spread(low, high, min(a.n, b.n))
+        low, high = widened_interval(low, high, min(a.n, b.n))
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
 

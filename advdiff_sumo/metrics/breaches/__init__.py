@@ -45,7 +45,7 @@ def breaches_of(view: TrafficView, case: Encounter, index: int) -> tuple[Breach,
 
     Args:
         view: the traffic.
-        case: the collision with its circumstances (:func:`~advdiff_sumo.metrics.encounter.encounter`).
+        case: the collision with its circumstances (:func:`~advdiff_sumo.metrics.encounter.encounter_of`).
         index: 0 for the first party (the target, if it takes part), 1 for the other.
     """
     excused = any(x.kind in _EXCUSING for x in _presence_breaches(view, case, 1 - index))

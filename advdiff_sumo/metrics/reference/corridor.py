@@ -9,7 +9,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.reference.driver_models import CRITICAL_TTC_S, HUMAN, TIE_M, DriverModel, Situation
-from advdiff_sumo.metrics.reference.others_paths import LOOK_STEP_S, PERCEPTION_S, Expected, look_times
+from advdiff_sumo.metrics.reference.others_paths import LOOK_STEP_S, PERCEPTION_S, Prediction, look_times
 from advdiff_sumo.metrics.reference.own_way import OwnWay
 
 #: Least time gap at a conflict area between the ego and a road user with the right of way.
@@ -22,7 +22,7 @@ class Corridor:
 
     Attributes:
         rows: (N,) rows of the record.
-        along_m: (K, N, H) expected centres along the way.
+        along_m: (K, N, H) predicted centres along the way.
         half_m: (K, N, H) half the extent of the boxes along the way.
         clear_m: (K, N, H) gap across the way between the box and a box that drives on the way; negative: overlap.
         speed_mps: (K, N) speed along the way.
@@ -58,14 +58,14 @@ class Meeting:
     conflict: BoolArray
 
 
-def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, width_m: float) -> Corridor:
+def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Prediction, width_m: float) -> Corridor:
     """Return agents *rows* (N,) of *tracks* (K instants) in the frame of *way*.
 
     Args:
         way: the way.
         tracks: the agents at the K instants.
         rows: rows of the others.
-        future: their expected motion.
+        future: their predicted motion.
         width_m: width of the ego.
     """
     half_size = 0.5 * tracks.size_m[rows]
@@ -83,7 +83,7 @@ def corridor_of(way: OwnWay, tracks: Tracks, rows: IntArray, future: Expected, w
     return Corridor(rows, along, half_along, clear, speed, -rate, tracks.size_m[rows, 0])
 
 
-def _in_frame(way: OwnWay, future: Expected) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _in_frame(way: OwnWay, future: Prediction) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return positions along and across *way* and headings relative to it, (K, N, H) each.
 
     Every second look-ahead instant is projected. The instants between are interpolated.
@@ -101,7 +101,7 @@ def _with_midpoints(values: FloatArray) -> FloatArray:
     return result
 
 
-def meeting(corridor: Corridor, instant: int, ego: tuple[float, float, float], length_m: float) -> Meeting:
+def meeting_at(corridor: Corridor, instant: int, ego: tuple[float, float, float], length_m: float) -> Meeting:
     """Return the relation of the ego to each other road user at *instant*.
 
     Args:
@@ -168,7 +168,7 @@ def _in_front(meet_s: FloatArray, ahead_m: FloatArray) -> BoolArray:
     return np.asarray((1.0 - share) * ahead_m[row, index] + share * ahead_m[row, index + 1] > 0.0)
 
 
-def demands(
+def required_braking_mps2(
     driver: DriverModel, meetings: Meeting, reacting: bool = False, leader_s: float = PERCEPTION_S
 ) -> FloatArray:
     """Return (N,) the deceleration in m/s² that *driver* requires for each other; 0 where the situation is safe.

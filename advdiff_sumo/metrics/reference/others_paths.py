@@ -26,7 +26,7 @@ _AHEAD_M = 120.0
 
 
 @dataclass(frozen=True)
-class Expected:
+class Prediction:
     """Predicted motion of N others from each of K instants, at H look-ahead instants.
 
     The look-ahead instants are ``LOOK_STEP_S`` apart; the first one is the present.
@@ -47,13 +47,13 @@ def look_times() -> FloatArray:
     return np.arange(0.0, PERCEPTION_S + 0.5 * LOOK_STEP_S, LOOK_STEP_S)
 
 
-def expected(
+def predicted_motion(
     road: RoadMap,
     tracks: Tracks,
     rows: IntArray,
     accel_mps2: FloatArray,
     ahead: Sequence[frozenset[str]] | None = None,
-) -> Expected:
+) -> Prediction:
     """Return the predicted motion of agents *rows* (N,) from every instant of *tracks*.
 
     Agents keep their speed; one that brakes continues to brake to a stop. At a junction each takes the connection that
@@ -89,7 +89,7 @@ def expected(
                 s[:, None] + driven_m[n, on_lane], d[:, None], extrapolate=True
             )
         links.append(tuple(own_links.values()))
-    return Expected(np.swapaxes(xy, 0, 1), np.swapaxes(yaw, 0, 1), tuple(links))
+    return Prediction(np.swapaxes(xy, 0, 1), np.swapaxes(yaw, 0, 1), tuple(links))
 
 
 def _driven_m(speed_mps: FloatArray, accel_mps2: FloatArray) -> FloatArray:

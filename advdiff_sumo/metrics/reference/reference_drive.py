@@ -19,10 +19,16 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.encounter import Encounter
-from advdiff_sumo.metrics.reference.corridor import Corridor, Meeting, corridor_of, demands, meeting
+from advdiff_sumo.metrics.reference.corridor import (
+    Corridor,
+    Meeting,
+    corridor_of,
+    meeting_at,
+    required_braking_mps2,
+)
 from advdiff_sumo.metrics.reference.drive_contact import Touch, least_gap_m, touches
 from advdiff_sumo.metrics.reference.driver_models import HUMAN, MODELS, DriverModel
-from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Expected, expected
+from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Prediction, predicted_motion
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
 from advdiff_sumo.metrics.reference.record_tail import extended
@@ -173,12 +179,12 @@ class ReferenceDrivers:
         return np.flatnonzero(near)
 
     @cached_property
-    def _future(self) -> Expected:
+    def _future(self) -> Prediction:
         back = max(1, round(_ACCEL_OVER_S / self._tracks.dt_s))
         speed = self._tracks.speed_mps[self._rows]
         first = np.repeat(speed[:, :1], back, axis=1)
         accel = (speed - np.concatenate((first, speed[:, :-back]), axis=1)) / (back * self._tracks.dt_s)
-        return expected(self._road, self._tracks, self._rows, np.nan_to_num(accel))
+        return predicted_motion(self._road, self._tracks, self._rows, np.nan_to_num(accel))
 
     @cached_property
     def _route_way(self) -> OwnWay:
@@ -223,7 +229,7 @@ class ReferenceDrivers:
         situations = []
         for k in range(span):
             ego = float(s[k]), float(speed[k]), float(accel[k])
-            meetings = meeting(self._recorded_corridor, k, ego, self._length_m)
+            meetings = meeting_at(self._recorded_corridor, k, ego, self._length_m)
             route_s_m = float(self._along_route_m[k])
             demand = self._stop_demand(self._route_way, route_s_m, float(speed[k]), k, meetings, False)
             situations.append((meetings, demand > 0.0))
@@ -252,7 +258,9 @@ class ReferenceDrivers:
     def _takeover(self, driver: DriverModel) -> int:
         """Return the instant, counted from the earliest possible takeover, at which *driver* takes over."""
         safe = [
-            not (must_stop or self._is_beside(meetings) or bool((demands(driver, meetings) > 0.0).any()))
+            not must_stop
+            and not self._is_beside(meetings)
+            and not (required_braking_mps2(driver, meetings) > 0.0).any()
             for meetings, must_stop in self._recorded_situations[: self._latest_takeover + 1]
         ]
         return _last_safe(np.array(safe), round(_SAFE_FOR_S / self._tracks.dt_s))
@@ -276,9 +284,9 @@ class ReferenceDrivers:
         speed[0] = max(float(tracks.speed_mps[self._record.target, start]), 0.0)
         reaction, least_s, last_accel = Reaction.fresh(driver), PERCEPTION_S, 0.0
         for k in range(steps - 1):
-            meetings = meeting(corridor, start + k, (s[k], speed[k], last_accel), self._length_m)
+            meetings = meeting_at(corridor, start + k, (s[k], speed[k], last_accel), self._length_m)
             reacting = bool(reaction.delay_left_s < driver.delay_s)
-            demand = float(demands(driver, meetings, reacting).max(initial=0.0))
+            demand = float(required_braking_mps2(driver, meetings, reacting).max(initial=0.0))
             demand = max(demand, self._stop_demand(way, s[k], speed[k], start + k, meetings, reacting))
             reaction, wanted_accel = react(reaction, driver, np.asarray(demand), dt)
             bend_mps = max(way.limit_mps(s[k]), speed[k] - 3.0 * dt)

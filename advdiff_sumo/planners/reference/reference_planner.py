@@ -15,7 +15,7 @@ from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.reference.corridor import Meeting, corridor_of, demands, meeting
+from advdiff_sumo.metrics.reference.corridor import Meeting, corridor_of, meeting_at, required_braking_mps2
 from advdiff_sumo.metrics.reference.driver_models import (
     CRITICAL_TTC_S,
     FSM,
@@ -24,7 +24,7 @@ from advdiff_sumo.metrics.reference.driver_models import (
     RSS,
     DriverModel,
 )
-from advdiff_sumo.metrics.reference.others_paths import expected
+from advdiff_sumo.metrics.reference.others_paths import predicted_motion
 from advdiff_sumo.metrics.reference.own_way import OwnWay, way_through
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
 from advdiff_sumo.planners.lane_graph import LaneGraphPlanner
@@ -92,7 +92,8 @@ class ReferencePlanner:
         if scene.time_s - memory.alarmed_s > CALM_S:
             reaction = Reaction.fresh(self.model)
         is_reacting = bool(reaction.delay_left_s < self.model.delay_s)
-        demand_mps2 = float(demands(self.model, conflicts, is_reacting, CRITICAL_TTC_S).max(initial=0.0))
+        demands_mps2 = required_braking_mps2(self.model, conflicts, is_reacting, CRITICAL_TTC_S)
+        demand_mps2 = float(demands_mps2.max(initial=0.0))
         if demand_mps2 <= 0.0:
             calm = Reaction(reaction.delay_left_s, np.zeros(()))
             return normal, ReferenceMemory(base, (calm,), memory.alarmed_s, normal, scene.time_s)
@@ -110,12 +111,12 @@ class ReferencePlanner:
         rows = _rows_near(tracks, row)
         way = _way(normal, tracks, row, base)
         lanes = [_lanes_of(road, scene.routes[other]) for other in rows.tolist()]
-        future = expected(road, tracks, rows, _accelerations(tracks, rows), lanes)
+        future = predicted_motion(road, tracks, rows, _accelerations(tracks, rows), lanes)
         length, width = (float(value) for value in tracks.size_m[row])
         corridor = corridor_of(way, tracks, rows, future, width)
         s_m = float(way.line.project(tracks.xy_m[row, -1])[0])
         speed = max(float(tracks.speed_mps[row, -1]), 0.0)
-        return meeting(corridor, tracks.steps - 1, (s_m, speed, accel_mps2), length)
+        return meeting_at(corridor, tracks.steps - 1, (s_m, speed, accel_mps2), length)
 
     def _braked(
         self, normal: Trajectory, scene: Scene, speed_mps: float, demand_mps2: float, reaction: Reaction

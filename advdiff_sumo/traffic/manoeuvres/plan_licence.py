@@ -11,7 +11,7 @@ from advdiff_sumo.core.resample import resample
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.breaches import BreachKind, breaches_of, conduct_breaches
 from advdiff_sumo.metrics.collision import tracks_collisions
-from advdiff_sumo.metrics.encounter import encounter
+from advdiff_sumo.metrics.encounter import encounter_of
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -58,7 +58,7 @@ def _contact_breaches(planned: TrafficView) -> Mapping[int, set[BreachKind]]:
     breaches: dict[int, set[BreachKind]] = {}
     for contact in tracks_collisions(planned.tracks, 0):
         if contact.rows[0] == 0 and not contact.initial:
-            kinds = {b.kind for b in breaches_of(planned, encounter(planned, contact), 1)}
+            kinds = {b.kind for b in breaches_of(planned, encounter_of(planned, contact), 1)}
             breaches.setdefault(contact.rows[1], set()).update(kinds)
     return breaches
 

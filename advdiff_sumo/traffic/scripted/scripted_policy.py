@@ -112,4 +112,4 @@ def tracks_of_manoeuvres(view: SituationView, manoeuvres: Sequence[Manoeuvre]) -
         return Tracks.empty(steps=1, dt_s=PLAN_DT_S, t0_s=begin_s)
     rows = [m.row for m in manoeuvres]
     plans = KinematicStates(*planned_motions(view, manoeuvres))
-    return view.scene.history.rows(rows).driving(plans, begin_s, PLAN_DT_S)
+    return view.scene.history.rows(rows).with_states(plans, begin_s, PLAN_DT_S)

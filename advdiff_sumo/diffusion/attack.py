@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from advdiff_sumo.diffusion.attack_costs import COSTS, encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, seen_attack
 from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.fast_decoder import FastDecoder
 from advdiff_sumo.diffusion.guides import Objective
@@ -121,7 +121,7 @@ def _costs_of(kind: str, placed: AttackStates, compiled: bool) -> Callable[[Roll
 def costs(rollout: Rollout, placed: AttackStates, kind: str | Tensor) -> Tensor:
     """Return costs (B, R) of *kind*: a name, or a tensor (6,) with a weight for each kind."""
     met = attack_distances(rollout, placed)
-    seen = encounter(rollout, met.gap, placed)
+    seen = seen_attack(rollout, met.gap, placed)
     if isinstance(kind, str):
         aim = COSTS[kind](seen)
     else:

@@ -47,7 +47,7 @@ class SeenAttack:
     time_s: Tensor
 
 
-def encounter(rollout: Rollout, gap: Tensor, placed: AttackStates) -> SeenAttack:
+def seen_attack(rollout: Rollout, gap: Tensor, placed: AttackStates) -> SeenAttack:
     """Return *rollout* (B, R, T) of attackers, at *gap* (B, R, T), in the frame of the target of *placed*."""
     xy, yaw, speed = placed.xy[0], placed.yaw[0], placed.speed[0]
     offset = into_frame(rollout.xy, xy, yaw.expand(rollout.yaw.shape))

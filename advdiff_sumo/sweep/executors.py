@@ -32,7 +32,7 @@ from advdiff_sumo.sweep.tasks import CallTask, Outcome, Task, WorkerLimits
 from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
-    lost,
+    outcome_of_dead_worker,
     prepare_worker,
     run_sandboxed,
 )
@@ -164,16 +164,16 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         try:
             outcome: Outcome = future.result()
         except FutureTimeoutError:
-            return lost(task, limits, None, "")
+            return outcome_of_dead_worker(task, limits, None, "")
         except ProcessExpired as error:
             if error.exitcode == RECYCLED:
                 self.submit(task)
                 return self.wait()
             overdue = self._overdue.pop(task.key, None) is not None
-            return lost(task, limits, error.exitcode, how_it_ended(error.exitcode), overdue)
+            return outcome_of_dead_worker(task, limits, error.exitcode, how_it_ended(error.exitcode), overdue)
         except BrokenProcessPool:
             self._discard(slot)
-            return lost(task, limits, None, "was killed while it took the task")
+            return outcome_of_dead_worker(task, limits, None, "was killed while it took the task")
         self._overdue.pop(task.key, None)
         return outcome
 
@@ -231,8 +231,8 @@ def call_in_worker(
     """
     with ProcessExecutor(1, limits) as executor:
         outcome = outcome_of(CallTask(name, call), executor)
-    if outcome.said:
-        hear(outcome.said)
+    if outcome.output:
+        hear(outcome.output)
     if outcome.failed is not None and outcome.failed.is_unusable:
         raise ConfigError(outcome.failed.message)
     return outcome

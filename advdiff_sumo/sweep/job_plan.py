@@ -43,7 +43,7 @@ class Job:
         cell: index of its run.
         number: number of the episode in that run.
         batch: key of the batch with its seed scene.
-        place: index of the scene in that batch.
+        scene_index: index of the scene in that batch.
         scene_key: key of the seed scene; the same for all targets and backgrounds.
     """
 
@@ -52,7 +52,7 @@ class Job:
     cell: int
     number: int
     batch: str
-    place: int
+    scene_index: int
     scene_key: str
 
 
@@ -131,10 +131,10 @@ def plan_sweep(spec: SweepSpec, *, drives: bool = True, places: bool = False) ->
             )
         counts[cell_key] = cell
         for number in range(options.episodes):
-            batch, place = _batch(options, source, number, batches)
+            batch, scene_index = _batch(options, source, number, batches)
             scene_key = digest([source, "scene", number])
             key = digest([cell_key, "episode", number])
-            jobs.append(Job(key, len(jobs), cell, number, batch, place, scene_key))
+            jobs.append(Job(key, len(jobs), cell, number, batch, scene_index, scene_key))
     wanted = sum(options.episodes for _, options in entries)
     return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(checks.roads), wanted)
 
@@ -146,9 +146,9 @@ def plan_run(run: Run) -> SweepPlan:
     batches: dict[str, Batch] = {}
     jobs: list[Job] = []
     for number in range(options.episodes):
-        batch, place = _batch(options, source, number, batches)
+        batch, scene_index = _batch(options, source, number, batches)
         scene_key = digest([source, "scene", number])
-        jobs.append(Job(run_key(number), number, 0, number, batch, place, scene_key))
+        jobs.append(Job(run_key(number), number, 0, number, batch, scene_index, scene_key))
     case_values = options.model_dump(exclude={"horizon_s", "sim", "scene"})
     spec = SweepSpec(
         episodes=options.episodes,
@@ -194,11 +194,11 @@ def _source_of(run: Run, options: RunOptions) -> str:
 
 def _batch(options: RunOptions, source: str, number: int, batches: dict[str, Batch]) -> tuple[str, int]:
     """Return the key of the batch with seed scene *number*, and the scene's index in it; extend *batches* if needed."""
-    stretch, place = (0, number) if options.scenes else divmod(number, options.scene.scenes_per_warmup)
+    stretch, scene_index = (0, number) if options.scenes else divmod(number, options.scene.scenes_per_warmup)
     key = digest([source, "batch", stretch])
-    if key not in batches or batches[key].scenes <= place:
-        batches[key] = Batch(key, options, stretch, place + 1)
-    return key, place
+    if key not in batches or batches[key].scenes <= scene_index:
+        batches[key] = Batch(key, options, stretch, scene_index + 1)
+    return key, scene_index
 
 
 def car_junctions(roads: Iterable[RoadMap]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from advdiff_sumo.core.errors import ConfigError, MissingExtraError
 from advdiff_sumo.maps.shipped_nets import shipped_networks
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.tasks import CallTask, Failed, Outcome, Task, WorkerLimits
-from advdiff_sumo.sweep.worker_sandbox import bound_memory, lost, run_sandboxed
+from advdiff_sumo.sweep.worker_sandbox import bound_memory, outcome_of_dead_worker, run_sandboxed
 
 _CONNECT_S = 10.0
 
@@ -94,7 +94,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         except self._ray.exceptions.RayTaskError as error:
             return Outcome(task.key, (), Failed("error", _first_line(error), str(error)))
         except self._ray.exceptions.RayError as error:  # the worker or its machine is lost
-            return lost(task, self.limits, None, f"was lost ({type(error).__name__})")
+            return outcome_of_dead_worker(task, self.limits, None, f"was lost ({type(error).__name__})")
         return outcome
 
 

@@ -21,7 +21,7 @@ from advdiff_sumo.sweep.run_engine import stored_run
 from advdiff_sumo.sweep.run_folder import RunFolder
 from advdiff_sumo.sweep.stored_episode import StoredEpisode
 from advdiff_sumo.sweep.sweep_store import Store
-from advdiff_sumo.sweep.work import part_of, run_of
+from advdiff_sumo.sweep.work import run_of, stored_form
 
 _SHORTEST_KEY = 6
 _BY_SEARCH = ("solvable", "unavoidable", "verdict")  # columns that the clairvoyant search writes
@@ -143,7 +143,7 @@ def repeat(before: Before, gui: bool = False) -> Repeated:
     """
     run, episode = episode_again(before.store, before.plan, before.job, gui)
     record, timing = episode.run()
-    part = part_of(run, record, timing)
+    part = stored_form(run, record, timing)
     return Repeated(run, part, _is_same(before.part, part))
 
 
@@ -166,12 +166,12 @@ def settings_for(job: Job, run: Run) -> dict[str, Any]:
 def _scene(store: Store, plan: SweepPlan, run: Run, job: Job) -> SeedScene:
     """Return the seed scene: the stored one if it still exists, else it is made again."""
     stored = store.read_scenes(job.batch)
-    if stored is not None and job.place < len(stored):
-        return scene_from_bytes(stored[job.place], run.road.path)
-    scenes = run.scene_batch(plan.batches[job.batch].number, job.place + 1)
-    if job.place >= len(scenes):
-        raise SceneError(f"{run.options.scenes}: has no seed scene number {job.place + 1}")
-    return scenes[job.place]
+    if stored is not None and job.scene_index < len(stored):
+        return scene_from_bytes(stored[job.scene_index], run.road.path)
+    scenes = run.scene_batch(plan.batches[job.batch].number, job.scene_index + 1)
+    if job.scene_index >= len(scenes):
+        raise SceneError(f"{run.options.scenes}: has no seed scene number {job.scene_index + 1}")
+    return scenes[job.scene_index]
 
 
 def _is_same(stored: StoredEpisode | None, repeated: StoredEpisode) -> bool | None:

@@ -74,7 +74,7 @@ def _next_keys(plan: SweepPlan, row_by_key: Mapping[str, Row | None], count: int
 
 def _row(plan: SweepPlan, store: Store, key: str) -> Row | None:
     """Return the row of a finished episode; None if it has none."""
-    row = store.glance(key)
+    row = store.episode_row(key)
     job = plan.by_key[key]
     return None if row is None else {**row, **job_row(job, plan.options(job))}
 

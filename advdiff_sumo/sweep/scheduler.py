@@ -113,9 +113,9 @@ class Scheduler:
                 if job.batch in self._running:
                     continue
                 return self._scene_task(self.plan.batches[job.batch])
-            if job.place < len(scenes):
-                options = self.plan.options(job)
-                return EpisodeTask(job.key, options, job.number, scenes[job.place], self._net(options.net))
+            if job.scene_index < len(scenes):
+                options, scene = self.plan.options(job), scenes[job.scene_index]
+                return EpisodeTask(job.key, options, job.number, scene, self._net(options.net))
             self._beyond_log.append((job, len(scenes)))
         return None
 
@@ -146,8 +146,8 @@ class Scheduler:
         if outcome.failed is not None and outcome.failed.kind in _RETRIED_KINDS and attempts <= self.retries:
             self._submit(task)
             return
-        if outcome.said:
-            self.hear(outcome.said)
+        if outcome.output:
+            self.hear(outcome.output)
         outcome = outcome.tried(attempts)
         if isinstance(task, EpisodeTask) and self._driven_again(task, outcome):
             return
@@ -202,7 +202,7 @@ class Scheduler:
             job, scenes = self._beyond_log.popleft()
             if self.refuses:
                 continue  # a run has only as many episodes as the log has scenes
-            message = f"the log has {counted(scenes, 'seed scene')}, this is number {job.place + 1}"
+            message = f"the log has {counted(scenes, 'seed scene')}, this is number {job.scene_index + 1}"
             self._record(job, Outcome(job.key, (), Failed("no_scene", message)))
 
     def _record(self, job: Job, outcome: Outcome) -> None:
@@ -220,7 +220,7 @@ class Scheduler:
             self.store.drop_ballast()
             self.store.write(job.key, content)
             raise
-        row, failed = StoredEpisode.glance(content)
+        row, failed = StoredEpisode.row_and_failure(content)
         _log.info("episode %s: %s", job.key, row["end"] if row else failed and failed.message)
         self.tell(row, failed)
 

@@ -46,7 +46,7 @@ class StoredEpisode:
         return StoredEpisode(tables, None if failure is None else Failed(**json.loads(failure)))
 
     @staticmethod
-    def glance(content: bytes) -> tuple[dict[str, Any] | None, Failed | None]:
+    def row_and_failure(content: bytes) -> tuple[dict[str, Any] | None, Failed | None]:
         """Return the row of ``episodes`` and the failure, without reading the other tables."""
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             names = set(archive.namelist())

@@ -197,10 +197,10 @@ class Store:
         content = read_checked(self._episode(key))
         return None if content is None else StoredEpisode.from_bytes(content)
 
-    def glance(self, key: str) -> dict[str, Any] | None:
+    def episode_row(self, key: str) -> dict[str, Any] | None:
         """Return the row of a finished episode; None if it is missing, has no row, or its file is damaged."""
         content = read_checked(self._episode(key))
-        return None if content is None else StoredEpisode.glance(content)[0]
+        return None if content is None else StoredEpisode.row_and_failure(content)[0]
 
     def finished(self) -> list[str]:
         """Return the keys of the finished episodes whose files are intact."""

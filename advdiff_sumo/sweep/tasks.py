@@ -115,7 +115,7 @@ class Outcome:
         failed: the failure; None if there is a product.
         wall_s: wall-clock time.
         steps: SUMO steps that a failed episode reached.
-        said: output of planner or policy.
+        output: printed by planner or policy.
     """
 
     key: str
@@ -123,7 +123,7 @@ class Outcome:
     failed: Failed | None = None
     wall_s: float = 0.0
     steps: int = NOT_STARTED
-    said: str = ""
+    output: str = ""
 
     def tried(self, attempts: int) -> Outcome:
         """Return the outcome with the number of attempts in its failure."""

@@ -62,8 +62,8 @@ def estimate(plan: SweepPlan, jobs: Sequence[Job], executor: Executor) -> TimeEs
                 raise ConfigError(f"{options.net}: {outcome.failed.message}")
             scenes[job.batch] = outcome.product
             scene_s.append(outcome.wall_s)
-        if job.place < len(scenes[job.batch]):
-            task = EpisodeTask(job.key, options, job.number, scenes[job.batch][job.place], net)
+        if job.scene_index < len(scenes[job.batch]):
+            task = EpisodeTask(job.key, options, job.number, scenes[job.batch][job.scene_index], net)
             outcome = outcome_of(task, executor)
             episode_s.append(outcome.wall_s)
     batches = len({job.batch for job in jobs})

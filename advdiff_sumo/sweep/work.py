@@ -114,7 +114,7 @@ def _plain_run(options: RunOptions, net_digest: str) -> Run:
     return Run(plain, road, target_of(plain), policy, ("IDM", "sumo"))
 
 
-def part_of(run: Run, record: EpisodeRecord, timing: Timing) -> StoredEpisode:
+def stored_form(run: Run, record: EpisodeRecord, timing: Timing) -> StoredEpisode:
     """Return the stored form of an episode of *run*."""
     metrics = summarise(record, run.road)
     row = episode_row(record, run.road, metrics)
@@ -151,7 +151,7 @@ def _episode(task: EpisodeTask, heartbeat: Heartbeat, run: Run | None) -> bytes:
     scene: SeedScene = scene_from_bytes(task.scene, run.road.path)
     episode = replace(run.episode(task.number, scene), heartbeat=heartbeat, memo=_memo_of(task))
     record, timing = episode.run(task.ended)
-    return part_of(run, record, timing).to_bytes()
+    return stored_form(run, record, timing).to_bytes()
 
 
 def _memo_of(task: EpisodeTask) -> PlanMemo | None:

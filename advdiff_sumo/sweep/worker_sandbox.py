@@ -76,15 +76,17 @@ def run_sandboxed(task: Task, limits: WorkerLimits) -> Outcome:
     pa.set_cpu_count(1)
     heartbeat_file = limits.heartbeat_of(task.key)
     with _watched(limits.log_of(task.key), limits.timeout_s) as output:
-        outcome = replace(perform(task, Heartbeat(heartbeat_file)), said=output())
+        outcome = replace(perform(task, Heartbeat(heartbeat_file)), output=output())
         if outcome.failed is not None and not outcome.failed.log_tail:
-            outcome = replace(outcome, failed=replace(outcome.failed, log_tail=outcome.said))
+            outcome = replace(outcome, failed=replace(outcome.failed, log_tail=outcome.output))
     with contextlib.suppress(OSError):
         heartbeat_file.unlink()
     return outcome
 
 
-def lost(task: Task, limits: WorkerLimits, exit_code: int | None, how: str, overdue: bool = False) -> Outcome:
+def outcome_of_dead_worker(
+    task: Task, limits: WorkerLimits, exit_code: int | None, how: str, overdue: bool = False
+) -> Outcome:
     """Return the outcome of a task whose worker died.
 
     Args:

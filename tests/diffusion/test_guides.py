@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack, encounter
+from advdiff_sumo.diffusion.attack_costs import COSTS, SeenAttack, seen_attack
 from advdiff_sumo.diffusion.bodies import AttackStates, attack_distances
 from advdiff_sumo.diffusion.guides import FLOOR, Guidance, Term, direction
 from advdiff_sumo.diffusion.sampler import SamplingStep
@@ -127,7 +127,7 @@ def between(attacker: Rollout, target: Rollout) -> SeenAttack:
     states = (torch.cat((a[0], b[0])) for a, b in zip(_motion(target), _motion(attacker), strict=True))
     pose, moved = torch.zeros(1, 4, dtype=torch.float64), torch.ones(1, dtype=torch.bool)
     placed = AttackStates(size, torch.zeros(2, dtype=torch.bool), *states, size[:1], pose, moved, edges)
-    return encounter(attacker, attack_distances(attacker, placed).gap, placed)
+    return seen_attack(attacker, attack_distances(attacker, placed).gap, placed)
 
 
 def _motion(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor]:

@@ -52,7 +52,7 @@ def test_a_chain_follows_the_route_over_the_junction(crossing: Maker) -> None:
     chain = route_chain(road, "south_in_0", ("south_in", "north_out"), {}, 300.0)
     assert chain.lanes[0] == "south_in_0"
     assert chain.lanes[-1] == "north_out_0"
-    assert chain.serves
+    assert chain.follows_route
     assert [link.to_lane for link in chain.links] == ["north_out_0"]
 
 
@@ -62,7 +62,7 @@ def test_a_lane_that_does_not_serve_the_route_ends(crossing: Maker) -> None:
     needed = required_changes(road, route)
     wrong = next(lane for lane in road.edges["west_in"].lane_ids if needed[0, lane][1])
     chain = route_chain(road, wrong, route, needed, 300.0)
-    assert not chain.serves
+    assert not chain.follows_route
     assert chain.lanes == (wrong,)
 
 

@@ -16,7 +16,7 @@ from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.others import others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry
 from advdiff_sumo.planners.lane_graph.predict import Ego, forecast
-from advdiff_sumo.planners.lane_graph.profiles import Leaders, _nearest, modes
+from advdiff_sumo.planners.lane_graph.profiles import Leaders, _nearest, combinations
 from advdiff_sumo.planners.lane_graph.proposal_score import followers
 from advdiff_sumo.planners.lane_graph.variants import TargetState, locate, variants
 from tests.planners.scenes import Car, make_scene
@@ -75,11 +75,11 @@ def test_shifts_within_the_lane_share_duties_and_followers(crossing: Maker, kind
     ]  # the planner computes only those of the first one and of other lanes
     assert each[1] == each[0] == each[2]
     future = forecast(road, scene, others, ways, Ego(at, 9.0, 4.6, ()), 20)
-    behind, unsafe = followers(sides, modes(sides, each, options), state, others, future)
+    behind, unsafe = followers(sides, combinations(sides, each, options), state, others, future)
     for v, side in enumerate(sides):
-        choice = modes([side], [each[v]], options)
+        choice = combinations([side], [each[v]], options)
         alone, cost = followers([side], choice, state, others, future)
-        rows = modes(sides, each, options).variant == v
+        rows = combinations(sides, each, options).variant == v
         np.testing.assert_array_equal(behind[rows][0], alone[0])
         assert unsafe[rows][0] == cost[0]
 

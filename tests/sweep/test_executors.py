@@ -82,7 +82,7 @@ def test_too_few_stored_seed_scenes_are_made_again(
     assert len(outcome.product) == 1
     store.write_scenes(first.key, outcome.product, 1)
     todo = RemainingJobs.of(plan, store, limit=2)
-    assert [job.place for job in todo.jobs] == [0, 1]
+    assert [job.scene_index for job in todo.jobs] == [0, 1]
     run_sweep(plan, store, todo, SerialExecutor(), 0, lambda *_: None)
     for job in todo.jobs:
         part, same = store.read(job.key), one_by_one.read(job.key)

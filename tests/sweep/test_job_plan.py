@@ -54,7 +54,7 @@ def test_targets_and_backgrounds_share_their_seed_scenes(place: Path) -> None:
     assert len({job.scene_key for job in plan.jobs}) == 3 * 2
     assert len(plan.batches) == 2 * 2  # two scenes a warm-up
     for job in plan.jobs:
-        assert (job.number // 2, job.place) == (plan.batches[job.batch].number, job.number % 2)
+        assert (job.number // 2, job.scene_index) == (plan.batches[job.batch].number, job.number % 2)
     wanted = [batch.scenes for batch in plan.batches.values()]
     assert wanted == [2, 1, 2, 1]  # up to the last one that an episode starts in
 

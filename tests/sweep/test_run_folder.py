@@ -207,7 +207,7 @@ def test_a_failure_without_rows_is_kept_in_a_finished_run(tmp_path: Path) -> Non
     assert {number: part.failed for number, part in parts.items()} == before == {0: died, 1: None, 2: died}
     assert [bool(parts[number].tables) for number in (0, 1, 2)] == [False, True, False]
     assert folder.part(2) == StoredEpisode({}, died)
-    assert StoredEpisode.glance(parts[2].to_bytes()) == (None, died)
+    assert StoredEpisode.row_and_failure(parts[2].to_bytes()) == (None, died)
     with pytest.raises(ConfigError, match="that run has 3 episodes; ask for as many"):
         RunFolder.create(folder.path, settings(episodes=2), resume=True)
 

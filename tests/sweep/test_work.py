@@ -20,7 +20,7 @@ from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import CallTask, EpisodeTask, WorkerLimits
 from advdiff_sumo.sweep.work import perform
-from advdiff_sumo.sweep.worker_sandbox import lost
+from advdiff_sumo.sweep.worker_sandbox import outcome_of_dead_worker
 from tests.sweep.conftest import planned
 
 
@@ -174,6 +174,6 @@ def test_the_message_for_a_worker_lost_before_the_first_step(
 ) -> None:
     task = EpisodeTask("k", RunOptions(background="mine:B"), 0, b"", "")
     Heartbeat(limits.heartbeat_of("k")).note(phase)
-    failed = lost(task, limits, 3, "left").failed
+    failed = outcome_of_dead_worker(task, limits, 3, "left").failed
     assert failed is not None
     assert (failed.kind, failed.message) == ("planner_crashed", words)

@@ -14,7 +14,7 @@ from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sweep.executors import ProcessExecutor, outcome_of
 from advdiff_sumo.sweep.tasks import CallTask, EpisodeTask, WorkerLimits
-from advdiff_sumo.sweep.worker_sandbox import lost
+from advdiff_sumo.sweep.worker_sandbox import outcome_of_dead_worker
 from tests.hang_guard import HANG_S
 
 
@@ -24,7 +24,7 @@ def test_a_planner_is_blamed_only_if_the_exit_code_is_known(
 ) -> None:
     task = EpisodeTask("key", RunOptions(net="downtown"), 0, b"", "")
     Heartbeat(limits.heartbeat_of(task.key)).note(ProcessPhase.TARGET, 7)
-    outcome = lost(task, limits, exit_code, how_it_ended(exit_code))
+    outcome = outcome_of_dead_worker(task, limits, exit_code, how_it_ended(exit_code))
     assert outcome.failed is not None
     assert (outcome.failed.kind, outcome.steps) == (kind, 7)
 

@@ -25,13 +25,13 @@ class Chain:
     Attributes:
         lanes: lane ids, internal ones included.
         links: connections over junctions between them.
-        serves: False if the route cannot be followed beyond the last lane without a lane change.
+        follows_route: False if the route cannot be followed beyond the last lane without a lane change.
         changes: signed lane changes (left positive) that the route needs on the first edge; 0 for none.
     """
 
     lanes: tuple[str, ...]
     links: tuple[Link, ...]
-    serves: bool = True
+    follows_route: bool = True
     changes: int = 0
 
 
@@ -98,7 +98,7 @@ def route_chain(
         needed: result of :func:`required_changes` for the same route.
         reach_m: length after which the chain may end.
     """
-    lanes, links, serves = [start], list[Link](), True
+    lanes, links, follows_route = [start], list[Link](), True
     changes = needed.get((0, start), (0, 0))[1]
     length, k, lane = road.lanes[start].length_m, 0, start
     if road.lanes[start].is_internal:
@@ -106,7 +106,7 @@ def route_chain(
     while length < reach_m and len(lanes) < _MAX_LANES:
         link = _next_link(road, lane, k, route, needed)
         if link is None:
-            serves = k >= len(route) - 1
+            follows_route = k >= len(route) - 1
             break
         lane, k = link.to_lane, k + 1
         via = (
@@ -117,7 +117,7 @@ def route_chain(
         lanes += [*via, lane]
         links.append(link)
         length += sum(road.lanes[v].length_m for v in (*via, lane))
-    return Chain(tuple(lanes), tuple(links), serves, changes)
+    return Chain(tuple(lanes), tuple(links), follows_route, changes)
 
 
 def _next_link(
@@ -166,7 +166,7 @@ def plausible_chains(
         ahead = list(route)[route.index(edge) :][:_EDGES_AHEAD]
         needed = required_changes(road, ahead) if changes is None else changes(ahead)
         chain = route_chain(road, start, ahead, needed, reach_m)
-        if chain.serves:
+        if chain.follows_route:
             return [chain]
     branches = [x for x in lane.successors if not x.turns_round] or list(lane.successors)
     if lane.length_m >= reach_m or not branches:

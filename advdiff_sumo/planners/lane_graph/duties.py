@@ -96,7 +96,7 @@ def duties(
 
 def _dead_end(variant: Variant) -> float:
     """Return where to stop if the route cannot be followed from this lane; inf if it can."""
-    if variant.chain.serves:
+    if variant.chain.follows_route:
         return np.inf
     end_m = variant.path.length_m
     return end_m - 2.0 - 8.0 * max(abs(variant.chain.changes) - 1, 0)

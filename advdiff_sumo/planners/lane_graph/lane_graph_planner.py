@@ -26,7 +26,7 @@ from advdiff_sumo.planners.lane_graph.memory import LaneGraphMemory
 from advdiff_sumo.planners.lane_graph.others import Others, others_near, ways_of
 from advdiff_sumo.planners.lane_graph.path import Geometry
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Ego, Forecast, forecast
-from advdiff_sumo.planners.lane_graph.profiles import Modes, drive, leaders, modes
+from advdiff_sumo.planners.lane_graph.profiles import Combinations, combinations, drive, leaders
 from advdiff_sumo.planners.lane_graph.proposal_score import (
     ProposalStates,
     collision_cost,
@@ -86,7 +86,7 @@ class LaneGraphPlanner:
                 all_duties.append(all_duties[0])
             else:
                 all_duties.append(duties(geometry, scene, state, variant, others, ways, memory, self.options))
-        combos = modes(lateral, all_duties, self.options)
+        combos = combinations(lateral, all_duties, self.options)
         candidates = self._candidates(lateral, combos, state, others, predicted, steps)
         # 4. Score the candidates and choose the cheapest.
         ignored, unsafe = followers(lateral, combos, state, others, predicted)
@@ -120,7 +120,7 @@ class LaneGraphPlanner:
     def _candidates(
         self,
         lateral: list[Variant],
-        combos: Modes,
+        combos: Combinations,
         state: TargetState,
         others: Others,
         predicted: Forecast,
@@ -198,7 +198,7 @@ def _remember(
             stopped = (link.from_lane, link.to_lane)
     end_m = s_m[-1] + state.front_m
     committed = {(x.from_lane, x.to_lane) for x, line in own_duties.passing if line < end_m}
-    current_link = place.over
+    current_link = place.link
     if current_link is not None:
         committed.add((current_link.from_lane, current_link.to_lane))
     curvature, accel = _inputs(plan, state, scene.least_plan_s)
@@ -209,7 +209,7 @@ def _remember(
         links=variant.chain.links,
         route=place.route,
         detour=place.route[:2] != route_on[:2] and len(route_on) > 1 and place.route[:1] == route_on[:1],
-        serves=variant.chain.serves,
+        follows_route=variant.chain.follows_route,
         curvature_1pm=curvature,
         accel_mps2=accel,
         committed=frozenset(committed),

@@ -19,7 +19,7 @@ class LaneGraphMemory:
         links: links of the previous path.
         route: edges ahead at the previous plan.
         detour: whether it left the given route on the first of these edges.
-        serves: whether the previous path follows the route.
+        follows_route: whether the previous path follows the route.
         curvature_1pm: curvature planned for the present instant.
         accel_mps2: acceleration planned for the present instant.
         committed: links, by (from lane, to lane), that the target is on or has decided to enter.
@@ -32,7 +32,7 @@ class LaneGraphMemory:
     links: tuple[Link, ...] = ()
     route: tuple[str, ...] = ()
     detour: bool = False
-    serves: bool = True
+    follows_route: bool = True
     curvature_1pm: float = 0.0
     accel_mps2: float = 0.0
     committed: frozenset[tuple[str, str]] = frozenset()

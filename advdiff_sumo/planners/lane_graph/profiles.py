@@ -73,7 +73,7 @@ class Idm:
 
 
 @dataclass(frozen=True)
-class Modes:
+class Combinations:
     """C combinations of a lateral choice with a speed choice.
 
     Attributes:
@@ -89,7 +89,9 @@ class Modes:
     brake_mps2: FloatArray
 
 
-def modes(variants: Sequence[Variant], duties: Sequence[Duties], options: LaneGraphOptions) -> Modes:
+def combinations(
+    variants: Sequence[Variant], duties: Sequence[Duties], options: LaneGraphOptions
+) -> Combinations:
     """Return the combinations to try: all speed choices for the middle of the lane, fewer for other lateral choices."""
     rows: list[tuple[int, float, float, float]] = []
     for v, (variant, duty) in enumerate(zip(variants, duties, strict=True)):
@@ -99,7 +101,7 @@ def modes(variants: Sequence[Variant], duties: Sequence[Duties], options: LaneGr
         rows += [(v, 1.0, yield_m, 0.0) for yield_m in duty.yield_m if yield_m < duty.stop_m]
         if keeps_lane:
             rows += [(v, 1.0, duty.stop_m, brake) for brake in (2.0, 4.0, options.brake_mps2)]
-    return Modes(*(np.array(column) for column in zip(*rows, strict=True)))
+    return Combinations(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def leaders(variants: Sequence[Variant], state: TargetState, future: Forecast, n
 
 def drive(
     variants: Sequence[Variant],
-    combos: Modes,
+    combos: Combinations,
     ahead: Leaders,
     state: TargetState,
     options: LaneGraphOptions,

@@ -14,7 +14,7 @@ from advdiff_sumo.planners.lane_graph.duties import Duties, Foe
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
 from advdiff_sumo.planners.lane_graph.others import Others, PossibleWay
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
-from advdiff_sumo.planners.lane_graph.profiles import Modes
+from advdiff_sumo.planners.lane_graph.profiles import Combinations
 from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
 # Weights of the costs, which have no unit.
@@ -78,7 +78,7 @@ def collision_cost(
 
 
 def followers(
-    variants: Sequence[Variant], combos: Modes, state: TargetState, others: Others, future: Forecast
+    variants: Sequence[Variant], combos: Combinations, state: TargetState, others: Others, future: Forecast
 ) -> tuple[BoolArray, FloatArray]:
     """Return which possible ways follow the target in each combination (C, N), and the cost of unsafe cut-ins (C,).
 
@@ -109,7 +109,7 @@ def followers(
 
 def precedence_cost(
     variants: Sequence[Variant],
-    combos: Modes,
+    combos: Combinations,
     duties: Sequence[Duties],
     candidates: ProposalStates,
     state: TargetState,
@@ -231,7 +231,7 @@ def _time_at(now_m: FloatArray, s_m: FloatArray, speed_mps: FloatArray, goal_m: 
 
 
 def overrun_cost(
-    combos: Modes, duties: Sequence[Duties], candidates: ProposalStates, state: TargetState
+    combos: Combinations, duties: Sequence[Duties], candidates: ProposalStates, state: TargetState
 ) -> FloatArray:
     """Return (C,) the cost of not stopping before a line at which the target must stop."""
     stop = np.array([duty.stop_m for duty in duties])[combos.variant]
@@ -241,7 +241,7 @@ def overrun_cost(
 
 def driving_cost(
     variants: Sequence[Variant],
-    combos: Modes,
+    combos: Combinations,
     candidates: ProposalStates,
     state: TargetState,
     target_lane: str | None,
@@ -268,14 +268,14 @@ def _lane_cost(
     variant: Variant, target_lane: str | None, state: TargetState, options: LaneGraphOptions
 ) -> float:
     """Return the cost of the lateral choice itself: shift, lane change, and lane changes that the route still needs."""
-    cost = _SHIFT * abs(variant.target_m)
-    underway = variant.side != 0 and target_lane in variant.chain.lanes
+    chain, cost = variant.chain, _SHIFT * abs(variant.target_m)
+    underway = variant.side != 0 and target_lane in chain.lanes
     if variant.side != 0:
         cost += _CHANGE_UNDERWAY if underway else _CHANGE
-        if not underway and (not options.lane_changes and variant.chain.serves):
+        if not underway and (not options.lane_changes and chain.follows_route):
             cost += 2.0 * _CHANGE
-    end_m = variant.path.length_m if not variant.chain.serves else _next_stop(variant)
-    changes_left = abs(variant.chain.changes) if variant.chain.changes else float(not variant.chain.serves)
+    end_m = variant.path.length_m if not chain.follows_route else _next_stop(variant)
+    changes_left = abs(chain.changes) if chain.changes else float(not chain.follows_route)
     room_m = (end_m - variant.s_m - state.front_m) / max(changes_left, 1.0)
     urgency = 1.0 - (room_m - _ROUTE_NEAR_M) / (_ROUTE_FAR_M - _ROUTE_NEAR_M)
     return float(cost + changes_left * (0.5 + _ROUTE * np.clip(urgency, 0.0, 1.5)))

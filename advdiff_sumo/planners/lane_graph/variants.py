@@ -81,13 +81,13 @@ class Place:
         lane_id: lane that it is on.
         route: edges ahead; the first one is the lane's own, or the one beyond the junction.
         changes: result of :func:`required_changes` for the route.
-        over: link that it is on; None off junctions.
+        link: link that it is on; None off junctions.
     """
 
     lane_id: str
     route: tuple[str, ...]
     changes: Changes
-    over: Link | None
+    link: Link | None
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _edges_ahead(
     """Return the edges ahead; by a detour if the target stands in a lane from which it cannot follow the route."""
     ahead = route_ahead(road, lane, route)
     on_detour = not road.lanes[lane].is_internal and memory.route[:1] == ahead[:1] and memory.detour
-    is_stuck = waited_s > _STUCK_S and len(ahead) > 1 and not memory.serves
+    is_stuck = waited_s > _STUCK_S and len(ahead) > 1 and not memory.follows_route
     if (is_stuck or on_detour) and not road.lanes[lane].is_internal:
         return detour(road, lane, route[-1]) or ahead
     return ahead
@@ -240,32 +240,32 @@ def variants(
     own_chain = _with_junction_behind(_chain(road, place.lane_id, place, reach_m), place, memory)
     choices = _variants(geometry, state, own_chain, 0, (0.0, *_SHIFTS_M), options)
     for side, beside in ((1, lane.left_id), (-1, lane.right_id)):
-        if beside is None or (place.over is not None and beside not in memory.lanes):
+        if beside is None or (place.link is not None and beside not in memory.lanes):
             continue
         if road.lanes[beside].permits("passenger"):
-            chain = _chain(road, beside, replace(place, over=road.link_of_internal_lane.get(beside)), reach_m)
+            chain = _chain(road, beside, replace(place, link=road.link_of_internal_lane.get(beside)), reach_m)
             choices += _variants(geometry, state, chain, side, (0.0,), options)
     return choices
 
 
 def _chain(road: RoadMap, lane: str, place: Place, reach_m: float) -> Chain:
     """Return the chain from *lane* along the route, or over the link on which the target is."""
-    if place.over is None:
+    if place.link is None:
         return route_chain(road, lane, place.route, place.changes, reach_m + road.lanes[lane].length_m)
-    over = place.over
-    beyond = route_chain(road, over.to_lane, place.route, place.changes, reach_m)
-    lanes = (over.from_lane, *over.via, *beyond.lanes)
-    return Chain(lanes, (over, *beyond.links), beyond.serves, 0)
+    link = place.link
+    beyond = route_chain(road, link.to_lane, place.route, place.changes, reach_m)
+    lanes = (link.from_lane, *link.via, *beyond.lanes)
+    return Chain(lanes, (link, *beyond.links), beyond.follows_route, 0)
 
 
 def _with_junction_behind(chain: Chain, place: Place, memory: LaneGraphMemory) -> Chain:
     """Prepend the junction that the target has just left, so that the reference line behind it stays the same."""
-    if place.over is not None:
+    if place.link is not None:
         return chain
     for link in memory.links:
         if link.to_lane == place.lane_id and link.via:
             lanes = (link.from_lane, *link.via, *chain.lanes)
-            return Chain(lanes, (link, *chain.links), chain.serves, chain.changes)
+            return Chain(lanes, (link, *chain.links), chain.follows_route, chain.changes)
     return chain
 
 

@@ -76,7 +76,7 @@ class EncounterLog:
         self.plans.append(scene.time_s)
         for name, commitment in _commitments(new_memory).active.items():
             began = previous.active.get(name) != commitment and commitment.since_s == scene.time_s
-            if commitment.features and not commitment.sets_up and began:
+            if commitment.features and not commitment.is_positioning and began:
                 names = (name, *previous.standing.names) if commitment.kind == "cut-out" else (name,)
                 self.begun.append(BegunEncounter(commitment.since_s, names, commitment.features))
         return plan, new_memory

@@ -19,7 +19,7 @@ from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
-from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, answers
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, is_probed
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
@@ -105,7 +105,7 @@ def meet(
         record, _ = replace(run.episode(number, scene), horizon_s=min(options.horizon_s, left_s)).run()
         ended, new_outcomes = outcomes(record, run.road, log.begun)
         tries += 1
-        if answers(probe, features_of(ended)) or tries == _MAX_TRIES:
+        if is_probed(probe, features_of(ended)) or tries == _MAX_TRIES:
             probe, tries = probe + 1, 0
         features = np.concatenate((features, features_of(ended)))
         encounter_outcomes = np.concatenate((encounter_outcomes, new_outcomes))

@@ -15,14 +15,14 @@ from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SLOWEST_TARGET_MPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     AHEAD_M,
-    AS_GOOD_AS_STANDS_MPS,
     BEHIND_M,
     BESIDE_M,
     IN_LANE_M,
-    LEADS_M,
-    SAME_WAY,
+    LEADER_RANGE_M,
+    MIN_HEADING_COSINE,
+    MIN_STOPPING_SPEED_MPS,
+    STANDING_BELOW_MPS,
     STOPPING_KINDS,
-    STOPS_FROM_MPS,
 )
 
 _LEAD_IN_S = 6.0
@@ -51,7 +51,7 @@ def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
 
 def _target_reasons(states: EpisodeStates) -> Iterator[str]:
     fastest = float(np.nanmax(states.tracks.speed_mps[states.target]))
-    if fastest < AS_GOOD_AS_STANDS_MPS:
+    if fastest < STANDING_BELOW_MPS:
         yield "the target stood"
     elif fastest < SLOWEST_TARGET_MPS:
         yield f"the target drove at most {fastest:.1f} m/s"
@@ -60,10 +60,10 @@ def _target_reasons(states: EpisodeStates) -> Iterator[str]:
 def _traffic_reasons(attack: str, states: EpisodeStates) -> Iterator[str]:
     ahead, beside = _ahead_and_beside(states)
     if attack in _BY_LEADER and not ahead.any():
-        yield f"nobody was straight ahead of it within {LEADS_M:g} m"
+        yield f"nobody was straight ahead of it within {LEADER_RANGE_M:g} m"
     elif attack in STOPPING_KINDS:
         fastest = float(states.tracks.speed_mps[ahead].max())
-        if fastest <= STOPS_FROM_MPS:
+        if fastest <= MIN_STOPPING_SPEED_MPS:
             yield f"who was ahead of it drove at most {fastest:.1f} m/s"
     elif attack == "cut-in" and not beside.any():
         yield f"nobody drove beside it within {AHEAD_M:g} m"
@@ -75,9 +75,9 @@ def _ahead_and_beside(states: EpisodeStates) -> tuple[BoolArray, BoolArray]:
     yaw = tracks.yaw_rad[target]
     offset = local_from_world(tracks.xy_m, tracks.xy_m[target], yaw)
     along_m, aside_m = offset[..., 0], np.abs(offset[..., 1])
-    same_direction = np.cos(tracks.yaw_rad - yaw) > SAME_WAY
+    same_direction = np.cos(tracks.yaw_rad - yaw) > MIN_HEADING_COSINE
     same_direction[target] = False
-    ahead = same_direction & (along_m > 0.0) & (along_m < LEADS_M) & (aside_m < IN_LANE_M)
+    ahead = same_direction & (along_m > 0.0) & (along_m < LEADER_RANGE_M) & (aside_m < IN_LANE_M)
     is_near = same_direction & (along_m > BEHIND_M) & (along_m < AHEAD_M)
     return ahead, is_near & (aside_m > IN_LANE_M) & (aside_m < BESIDE_M)
 

@@ -19,7 +19,7 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.view import View, look
 from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT, LicenceName
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, LicensedAttack, licensed_attack
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import UNRESTRICTED, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.planning.drawn import Drawn
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures, coasting, futures_of, join
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
@@ -184,7 +184,7 @@ def apply_safeguard(
     drawn: Drawn,
     lanes: Mapping[int, LaneAhead | None],
     before: tuple[Tracks | None, int] = (None, 0),
-    attack: LicensedAttack = RECKLESS,
+    attack: LicensedAttack = UNRESTRICTED,
 ) -> SafeguardedPlans:
     """Return the proposed plans after the safeguard, among predictions of all other road users.
 

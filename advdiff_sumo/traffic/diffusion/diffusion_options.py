@@ -16,7 +16,7 @@ from advdiff_sumo.models.stored import stored_format
 from advdiff_sumo.traffic.attack_names import RECKLESS_ATTACKS, FurtherAttack
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.staging import STAGED
+from advdiff_sumo.traffic.manoeuvres.staging import DEFAULT_MAX_INSERTED
 
 Attack: TypeAlias = Literal[
     "any", "cut-in", "rear-end", "head-on", "junction", "brake", "hard-stop", FurtherAttack
@@ -76,7 +76,7 @@ class DiffusionOptions(Options):
     strength: float = Field(1.0, ge=0.0, le=1.0)
     attackers: int = Field(2, ge=1, le=8)
     attack: Attack = "any"
-    staged: int = Field(STAGED, ge=0, le=20)
+    staged: int = Field(DEFAULT_MAX_INSERTED, ge=0, le=20)
     guide: Literal["reward", "reward-only", "none"] = "reward"
     steps: int = Field(5, ge=1, le=1000)
     begin: float = Field(0.9, gt=0.0, le=1.0)

@@ -27,7 +27,7 @@ from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.licence import licence_of
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import PAUSE_S, situation_of
-from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, plan_with
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 from advdiff_sumo.traffic.planning.drawn import Drawn
@@ -162,8 +162,10 @@ class DiffusionTraffic:
         commitments, newcomers = memory.commitments, tuple[Newcomer, ...]()
         if commitments is not None:
             situation, licence = situation_of(road, view), licence_of(self.options.licence)
-            _, commitments = advance(situation, commitments, self.options.attackers, PAUSE_S, licence)
-            newcomers, commitments = let_in(situation, commitments)
+            _, commitments = update_manoeuvres(
+                situation, commitments, self.options.attackers, PAUSE_S, licence
+            )
+            newcomers, commitments = insert_vehicles(situation, commitments)
         plan = plan_with(empty_plan(view.scene), newcomers, self._state((), None))
         plan = _with_standing(plan, commitments, view.scene)
         return plan, replace(memory, plan=None, commitments=commitments)

@@ -11,12 +11,12 @@ from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, PATIENCE_S, SUPPORT_KINDS, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
-from advdiff_sumo.traffic.manoeuvres.graded import with_braking, with_severity
 from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.prescribed_severity import with_braking, with_severity
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, can_begin_later
@@ -41,7 +41,7 @@ def begin(
     kinds = memory.startable_kinds(view)
     possible = [m for row in free for kind in kinds for m in _PROPOSALS[kind](view, row)]
     possible = list(filter_oncoming(view, possible, memory.stage.only_oncoming))
-    possible = [m for m in possible if not (m.sets_up and names[m.row] in memory.standing.names)]
+    possible = [m for m in possible if not (m.is_positioning and names[m.row] in memory.standing.names)]
     adapted = with_severity(view, possible, memory.intensity)
     proposals = [m for m in adapted if is_seen_long_enough(view, m, memory.since_s)]
     begun: list[Chosen] = []
@@ -51,7 +51,7 @@ def begin(
         kind: _min_merit(leader_merits if kind in LEADER_KINDS else _MIN_MERITS, now)
         for kind in memory.weights
     }
-    good = [c for c in ranked if c.manoeuvre.sets_up or c.merit >= least[c.manoeuvre.kind]]
+    good = [c for c in ranked if c.manoeuvre.is_positioning or c.merit >= least[c.manoeuvre.kind]]
     ready = [c for c in good if not can_begin_later(view, c.manoeuvre, c.needed_mps2, licence)]
     for chosen in ready[:_FULLY_CHECKED]:
         others = (*going, *(c.manoeuvre for c in begun))
@@ -77,7 +77,7 @@ def _go_together(first: Manoeuvre, second: Manoeuvre) -> bool:
 def _follower_can_stop(view: SituationView, chosen: Chosen) -> bool:
     """Return whether the vehicle behind the target can brake in time, too."""
     behind = view.follower
-    if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.sets_up:
+    if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.is_positioning:
         return True
     return braking_behind(view, behind, response_time_s(view, chosen.manoeuvre)) is not None
 
@@ -92,7 +92,7 @@ def follower_braking(
     row = view.follower
     if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
-    attacks = [m for m in driven if not m.sets_up and (m in fresh or m.kind == "crossing")]
+    attacks = [m for m in driven if not m.is_positioning and (m in fresh or m.kind == "crossing")]
     responses = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in SUPPORT_KINDS]
     soon_s = [time_s for kind, time_s in responses if kind != "crossing" or time_s < _SOON_S]
     braking = braking_behind(view, row, min(soon_s)) if soon_s else None
@@ -101,7 +101,7 @@ def follower_braking(
 
 def _has_no_breach(view: SituationView, chosen: Chosen, licence: Licence | None) -> bool:
     """Return whether the breach rules of the verdict find nothing in the plan of *chosen*."""
-    if licence is None or chosen.manoeuvre.sets_up:
+    if licence is None or chosen.manoeuvre.is_positioning:
         return True
     future = chosen.futures
     rows = [chosen.manoeuvre.row]

@@ -9,23 +9,23 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.answers import (
-    TargetWay,
-    contact_share,
-    notices_no_stop_s,
-    trapped_share,
-)
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.graded import severity_match
 from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.prescribed_severity import severity_match
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     DOUBLE,
     MAX_DEMAND_MPS2,
     SLOW_ENTRIES,
     crossing_links,
+)
+from advdiff_sumo.traffic.manoeuvres.required_braking import (
+    TargetWay,
+    contact_share,
+    notices_no_stop_s,
+    trapped_share,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
@@ -127,7 +127,7 @@ def _merits(
     """Return (N,) merits of the proposals, given the required deceleration (N,) *needed*; see :func:`rank`."""
     target = view.target
     merit = np.array([_merit(m, n, begun) for m, n in zip(proposals, needed.tolist(), strict=True)])
-    rows = np.flatnonzero([m.kind == "crossing" and not m.sets_up for m in proposals])
+    rows = np.flatnonzero([m.kind == "crossing" and not m.is_positioning for m in proposals])
     if target is not None and len(rows):
         crossings = [proposals[k] for k in rows.tolist()]
         crossing_futures, size = _rows(futures, rows), view.scene.history.size_m[[m.row for m in crossings]]
@@ -179,7 +179,7 @@ def _merit_at_red(
 
 def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     """Return the merit by the kind of manoeuvre and the required deceleration of the target."""
-    if manoeuvre.sets_up:
+    if manoeuvre.is_positioning:
         most = _POSITIONING_DEMAND_MPS2.get(manoeuvre.kind, 1.0)
         return POSITIONING_MERIT if needed_mps2 <= most else 0.0
     if manoeuvre.kind == "cut-in":

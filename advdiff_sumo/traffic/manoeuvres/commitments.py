@@ -41,7 +41,7 @@ class Commitment:
         profile: its chosen speed over time.
         since_s: when it began.
         timed_s: when its profile began.
-        sets_up: whether it only gets into position.
+        is_positioning: whether it only gets into position.
         delay_s: how long after ``since_s`` it changes lanes.
         goal_lane: lane that it changes to; "" if it keeps its lane.
         features: features of the encounter as it began, see ``encounter_features``; () if there is no preference.
@@ -51,7 +51,7 @@ class Commitment:
     profile: SpeedProfile
     since_s: float
     timed_s: float
-    sets_up: bool
+    is_positioning: bool
     delay_s: float = 0.0
     goal_lane: str = ""
     features: tuple[float, ...] = ()
@@ -124,7 +124,7 @@ class Commitments:
         attackers = (
             name
             for name, under_way in self.active.items()
-            if not under_way.sets_up and under_way.kind not in SUPPORT_KINDS
+            if not under_way.is_positioning and under_way.kind not in SUPPORT_KINDS
         )
         return (*attackers, *(self.standing.names if self.standing.is_queue else ()))
 
@@ -134,7 +134,7 @@ class Commitments:
         kinds = {
             name: under_way.kind
             for name, under_way in self.active.items()
-            if not under_way.sets_up and under_way.kind != FOLLOWS
+            if not under_way.is_positioning and under_way.kind != FOLLOWS
         }
         return {
             **dict.fromkeys(self.company, DOUBLE),

@@ -13,11 +13,11 @@ import numpy as np
 from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
-from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, SAME_WAY, STOPS_FROM_MPS
+from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, MIN_HEADING_COSINE, MIN_STOPPING_SPEED_MPS
+from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -107,7 +107,7 @@ def company_manoeuvres(
 
     If the target brakes or changes lanes, SUMO drives them.
     """
-    if view.target is None or view.target.speed_mps < STOPS_FROM_MPS:
+    if view.target is None or view.target.speed_mps < MIN_STOPPING_SPEED_MPS:
         return []
     if target_brakes(view, _BRAKES_MPS2) or abs(view.target.way.drift_mps) > _DRIFTS_MPS:
         return []
@@ -138,7 +138,7 @@ def company_rows(view: SituationView, side: str) -> Sequence[int]:
     for row in view.movable:
         ahead, left = _local_position(view, row)
         is_beside = _MIN_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
-        same_way = np.cos(yaw[row] - yaw[target]) > SAME_WAY
+        same_way = np.cos(yaw[row] - yaw[target]) > MIN_HEADING_COSINE
         if is_beside and same_way and not _joins(view.target, view.ways[row]):
             rows.append((abs(ahead), row))
     return [row for _, row in sorted(rows)]
@@ -174,7 +174,9 @@ def _keep_place(view: SituationView, target: TargetWay, row: int, place_m: float
     missing_m = place_m - _local_position(view, row)[0]
     wish = float(np.clip(target_then + _CLOSING_PER_S * missing_m, min(lowest, limit), limit))
     accel = float(np.clip((wish - speed) / _ADAPTS_S, -_ACCEL_MPS2, _ACCEL_MPS2))
-    return Manoeuvre(ACCOMPANIES, row, way, SpeedProfile(accel, _ADAPTS_S, 0.0, 0.0, limit), sets_up=True)
+    return Manoeuvre(
+        ACCOMPANIES, row, way, SpeedProfile(accel, _ADAPTS_S, 0.0, 0.0, limit), is_positioning=True
+    )
 
 
 def is_settled(view: SituationView) -> bool:

@@ -11,26 +11,26 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, SUPPORT_KINDS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, still_follows
-from advdiff_sumo.traffic.manoeuvres.graded import target_brakes
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
+from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
-    AS_GOOD_AS_STANDS_MPS,
     DOUBLE,
     ENDS_STANDING,
     KINDS,
     PULL_OUT,
     SLOW_ENTRIES,
     SLOW_MERGE,
+    STANDING_BELOW_MPS,
     continued_crossings,
 )
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_body
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -64,7 +64,7 @@ def continue_manoeuvres(
             active[name] = replace(under_way, profile=manoeuvre.profile, timed_s=now)
             continue
         del active[name]
-        rested[name] = now + (0.0 if under_way.sets_up or under_way.kind == FOLLOWS else pause_s)
+        rested[name] = now + (0.0 if under_way.is_positioning or under_way.kind == FOLLOWS else pause_s)
     if all(m.kind in SUPPORT_KINDS for m in going):  # without an attack, SUMO drives the follower
         going = [m for m in going if m.kind != FOLLOWS]
         active = {name: under_way for name, under_way in active.items() if under_way.kind != FOLLOWS}
@@ -82,9 +82,9 @@ def _remaining(
     intensity = memory.intensity
     passed_s = view.scene.time_s - under_way.since_s
     max_duration_s = _MAX_DURATION_S.get(under_way.kind, _DEFAULT_MAX_DURATION_S)
-    if row is None or under_way.sets_up or passed_s >= max_duration_s:
+    if row is None or under_way.is_positioning or passed_s >= max_duration_s:
         return None
-    if under_way.kind in ENDS_STANDING and _target_stands(view) and view.speed(row) < AS_GOOD_AS_STANDS_MPS:
+    if under_way.kind in ENDS_STANDING and _target_stands(view) and view.speed(row) < STANDING_BELOW_MPS:
         return None  # both stand: the encounter is over
     if under_way.kind in LEADER_KINDS and not _is_ahead(view, row):
         return None  # the target has left its lane, or has passed the leader
@@ -162,7 +162,7 @@ def _is_ahead(view: SituationView, row: int) -> bool:
 
 
 def _target_stands(view: SituationView) -> bool:
-    return view.target is None or view.target.speed_mps < AS_GOOD_AS_STANDS_MPS
+    return view.target is None or view.target.speed_mps < STANDING_BELOW_MPS
 
 
 def _goal(view: SituationView, row: int, under_way: Commitment) -> Way | None:

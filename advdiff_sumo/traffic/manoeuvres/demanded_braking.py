@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.traffic.manoeuvres.answers import (
+from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
+from advdiff_sumo.traffic.manoeuvres.repertoire import ENDS_STANDING, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.required_braking import (
     BRAKING_MPS2,
     CLEARANCE_M,
     INSUFFICIENT_MPS2,
@@ -16,9 +19,6 @@ from advdiff_sumo.traffic.manoeuvres.answers import (
     TargetWay,
     needed_braking,
 )
-from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
-from advdiff_sumo.traffic.manoeuvres.repertoire import ENDS_STANDING, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.repertoire import AS_GOOD_AS_STANDS_MPS, KINDS, crossing_links
+from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, STANDING_BELOW_MPS, crossing_links
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 
 CIRCUMSTANCES = (
@@ -83,7 +83,7 @@ def _circumstances(view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float
         float(cosine < -_ACROSS),
         float(abs(cosine) <= _ACROSS),
         abs(float(np.sin(bearing))),
-        float(other_mps < AS_GOOD_AS_STANDS_MPS),
+        float(other_mps < STANDING_BELOW_MPS),
         float(_target_has_red(view, manoeuvre)),
     )
 

@@ -71,15 +71,16 @@ class EncounterPreference:
         """
         features = encounter_features(view, proposals, needed_mps2)
         return [tuple(row) for row in features.tolist()], self._factors(
-            features, np.array([manoeuvre.sets_up for manoeuvre in proposals])
+            features, np.array([manoeuvre.is_positioning for manoeuvre in proposals])
         )
 
-    def _factors(self, features: FloatArray, sets_up: BoolArray) -> FloatArray:
-        if self.exploration_share == 1.0 or sets_up.all():
+    def _factors(self, features: FloatArray, is_positioning: BoolArray) -> FloatArray:
+        if self.exploration_share == 1.0 or is_positioning.all():
             return np.ones(len(features))
         predicted = self.predictor.probability(features)
-        predicted[~sets_up & (predicted < _MIN_SHARE_OF_BEST * self._best_prediction)] = 0.0
-        return np.where(sets_up, 1.0, predicted / max(predicted[~sets_up].max(), np.finfo(np.float64).tiny))
+        predicted[~is_positioning & (predicted < _MIN_SHARE_OF_BEST * self._best_prediction)] = 0.0
+        best = max(predicted[~is_positioning].max(), np.finfo(np.float64).tiny)
+        return np.where(is_positioning, 1.0, predicted / best)
 
     @cached_property
     def _best_prediction(self) -> float:
@@ -172,7 +173,7 @@ def probed_class(probe: int) -> AgentClass:
     return _CLASSES[probe % len(_CLASSES)]
 
 
-def answers(probe: int, features: FloatArray) -> bool:
+def is_probed(probe: int, features: FloatArray) -> bool:
     """Return whether one of the encounters with *features* (N, D) has the kind and vehicle of probe number *probe*."""
     is_kind = features[:, FEATURES.index(probed_kind(probe))] == 1.0
     is_class = (features == with_vehicle(features, probed_class(probe))).all(axis=-1)

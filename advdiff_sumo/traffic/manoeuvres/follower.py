@@ -9,8 +9,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, REACTION_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, REACTION_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile, drive_profiles
 

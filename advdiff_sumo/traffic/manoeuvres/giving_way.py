@@ -10,12 +10,12 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.answers import HURRYING_MPS2
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     CAREFUL_STOP_MPS2,
     conflict_points_m,
     priority_links,
 )
+from advdiff_sumo.traffic.manoeuvres.required_braking import HURRYING_MPS2
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, Futures
 

@@ -13,10 +13,15 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, REACTION_S, TargetWay, needed_braking
 from advdiff_sumo.traffic.manoeuvres.company import COMPANY_SIZE, company_places, is_settled
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, hard_stop
+from advdiff_sumo.traffic.manoeuvres.required_braking import (
+    BRAKING_MPS2,
+    REACTION_S,
+    TargetWay,
+    needed_braking,
+)
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 
@@ -25,7 +30,7 @@ def hard_stop_in_company(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Yield hard stops of the target's leader while others are nearer, or leading at a steady gap until they are."""
     for stop in hard_stop(view, row) if company_places(view) else ():
         double = replace(stop, kind=DOUBLE)
-        if stop.sets_up or is_masked(view, double):
+        if stop.is_positioning or is_masked(view, double):
             yield double
 
 

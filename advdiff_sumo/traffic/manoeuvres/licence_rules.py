@@ -75,7 +75,7 @@ def _is_lawful(
     check_steps = _CROSSING_CHECK_STEPS[begun] if manoeuvre.kind == "crossing" else None
     driven_m = float(futures.driven_m[k, -1])
     lines_within_m = driven_m if check_steps is None else float(futures.driven_m[k, _CROSSED_STEPS])
-    if manoeuvre.sets_up:  # it is planned anew at once, and can still stop
+    if manoeuvre.is_positioning:  # it is planned anew at once, and can still stop
         lines_within_m = min(driven_m, set_up_m + set_up_mps**2 / (2.0 * _STOPS_MPS2))
     if licence is not None and not (
         _respects_links(view, manoeuvre, lines_within_m, licence)
@@ -120,7 +120,7 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
 
 def _stops_outside_junctions(manoeuvre: Manoeuvre, driven_m: float) -> bool:
     """Return whether a stop does not end inside a junction."""
-    if manoeuvre.kind not in STOPPING_KINDS or manoeuvre.sets_up:
+    if manoeuvre.kind not in STOPPING_KINDS or manoeuvre.is_positioning:
         return True
     s = manoeuvre.way.lane.s_m + driven_m
     for lane in manoeuvre.way.lane.lanes:

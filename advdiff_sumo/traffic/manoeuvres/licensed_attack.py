@@ -17,14 +17,14 @@ from advdiff_sumo.traffic.licence import (
     LicenceName,
     licence_of,
 )
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
-from advdiff_sumo.traffic.manoeuvres.joining import blocks_lane_change
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import planned_motions
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
-from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.required_lane_change import blocks_lane_change
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer
@@ -62,7 +62,7 @@ class LicensedAttack:
     waits_m: Mapping[int, float] = field(default_factory=dict)
 
 
-RECKLESS = LicensedAttack()
+UNRESTRICTED = LicensedAttack()
 """Anything that moves like a vehicle, up to 1.5 × the limit: the paper's, with a bound on its speed."""
 
 
@@ -88,18 +88,18 @@ def licensed_attack(
     """
     licence = licence_of(name)
     if licence is None:
-        return RECKLESS
+        return UNRESTRICTED
     situation = situation_of(road, view)
     driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
     newcomers: tuple[Newcomer, ...] = ()
     if memory is not None:
-        manoeuvres, memory = advance(situation, memory, max_manoeuvres, PAUSE_S, licence)
+        manoeuvres, memory = update_manoeuvres(situation, memory, max_manoeuvres, PAUSE_S, licence)
         view_row_of = {row: k for k, row in enumerate(view.rows.tolist())}
         xy, yaw, planned_speed = planned_motions(situation, manoeuvres)
         for k, manoeuvre in enumerate(manoeuvres):
             if manoeuvre.kind != WAITS:  # the safeguard keeps vehicles clear of boxes by itself
                 driven[view_row_of[manoeuvre.row]] = xy[k], yaw[k], planned_speed[k]
-        newcomers, memory = let_in(situation, memory)
+        newcomers, memory = insert_vehicles(situation, memory)
         movable_rows = {name: k for k, name in enumerate(view.ids) if view.moved[k]}
         driven |= {
             movable_rows[name]: motion

@@ -69,7 +69,7 @@ class Manoeuvre:
         way: the way that it follows.
         profile: its speed over time.
         goal: the way on another lane that it changes to; None: it keeps its lane.
-        sets_up: whether it only brings the vehicle into position.
+        is_positioning: whether it only brings the vehicle into position.
         delay_s: when the lane change begins.
         revealed_row: row of the standing vehicle ahead that the target sees only after a cut-out; None: there is none.
         body: box of a vehicle that changes lanes slowly; None: it is fast enough to be treated as a point.
@@ -80,7 +80,7 @@ class Manoeuvre:
     way: Way
     profile: SpeedProfile = field(default_factory=SpeedProfile)
     goal: Way | None = None
-    sets_up: bool = False
+    is_positioning: bool = False
     delay_s: float = 0.0
     revealed_row: int | None = None
     body: SlowBody | None = None

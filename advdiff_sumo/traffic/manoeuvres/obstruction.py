@@ -14,8 +14,8 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
-from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 

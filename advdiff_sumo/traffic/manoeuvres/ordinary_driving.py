@@ -39,7 +39,7 @@ def is_seen_long_enough(view: SituationView, manoeuvre: Manoeuvre, since_s: Mapp
 
     *since_s* is that of :func:`in_view_since`.
     """
-    if manoeuvre.sets_up:
+    if manoeuvre.is_positioning:
         return True
     now = view.scene.time_s
     crosses = manoeuvre.kind == "crossing"

@@ -13,7 +13,7 @@ from advdiff_sumo.metrics.breaches import BreachKind, breaches_of, conduct_breac
 from advdiff_sumo.metrics.collision import tracks_collisions
 from advdiff_sumo.metrics.encounter import encounter_of
 from advdiff_sumo.metrics.traffic_view import TrafficView
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S
 

@@ -1,7 +1,7 @@
 """Manoeuvres that vehicles around the target could drive: such as people drive, and no rule forbids.
 
 Each function proposes manoeuvres for one vehicle. ``licence_rules`` judges whether a proposal is lawful in the scene,
-``answers`` which braking it requires of the target.
+``required_braking`` which braking it requires of the target.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from advdiff_sumo.core.scene import HEAVY_CLASSES
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -43,7 +43,7 @@ CROSSING_ACCELS_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
 """Accelerations by which a vehicle with priority adjusts its arrival; of equal merit, the earliest arrival is taken."""
 _REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)  # times before a leader would reach the standing vehicle
 _MAX_DELAY_S = 2.0
-AS_GOOD_AS_STANDS_MPS = 0.5
+STANDING_BELOW_MPS = 0.5
 """A slower vehicle counts as standing: others need not expect it to move on."""
 _ACCEL_DURATIONS_S = (1.5, 3.0)
 _HESITATION_MPS2, _GO_MPS2 = (1.0, 2.0, 3.0), 2.5
@@ -55,14 +55,14 @@ _CRAWL_SHARE, _STOP_FROM_MPS2 = 0.3, 3.0
 """A vehicle that brakes harder than this after a cut-in stops; others slow to this share of the target's speed."""
 IN_LANE_M, BESIDE_M = 1.2, 5.5
 """Lateral offset up to which a vehicle is on a way; and up to which it is on the lane beside."""
-BEHIND_M, AHEAD_M, SAME_WAY = -10.0, 55.0, 0.9
+BEHIND_M, AHEAD_M, MIN_HEADING_COSINE = -10.0, 55.0, 0.9
 """Range ahead of the target within which a vehicle is beside it; least cosine of headings in the same direction."""
 _CROSSING_M = 60.0  # junctions farther away than this are ignored
-LEADS_M = 68.0
+LEADER_RANGE_M = 68.0
 """Distance within which a vehicle leads the target: at 40 m/s 1.5 s ahead."""
 _NOWHERE = (np.inf, np.inf)
 _MIN_SPEED_MPS = 2.0
-STOPS_FROM_MPS = 5.0
+MIN_STOPPING_SPEED_MPS = 5.0
 """Only a faster vehicle can be made to stop."""
 _CROSSING_SPEED_SHARE = 0.45
 """Share of the limit below which a vehicle with priority does not slow."""
@@ -80,7 +80,7 @@ def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
     if view.target is not None and _leads(view, row) and view.is_clear_to(view.on_target_way[row][0]):
         steady = steady_lead_profile(view, view.target, row)
-        yield Manoeuvre("hard-stop", row, view.ways[row], steady, sets_up=True)
+        yield Manoeuvre("hard-stop", row, view.ways[row], steady, is_positioning=True)
 
 
 def steady_lead_profile(view: SituationView, target: TargetWay, row: int) -> SpeedProfile:
@@ -88,7 +88,7 @@ def steady_lead_profile(view: SituationView, target: TargetWay, row: int) -> Spe
     limit, speed = view.ways[row].lane.speed_mps, view.speed(row)
     gap = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
     excess_m = gap - (HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
-    slowest = min(max(_LEAD_SPEED_SHARE * target.speed_mps, STOPS_FROM_MPS + 1.0), limit)
+    slowest = min(max(_LEAD_SPEED_SHARE * target.speed_mps, MIN_STOPPING_SPEED_MPS + 1.0), limit)
     wish = float(np.clip(target.speed_mps - _LEAD_CLOSING_PER_S * excess_m, slowest, limit))
     accel = float(np.clip((wish - speed) / _ADAPTS_S, -_LEAD_BRAKING_MPS2, _LEAD_ACCEL_MPS2))
     return SpeedProfile(accel, _ADAPTS_S, 0.0, min(slowest, speed), limit)
@@ -121,7 +121,7 @@ def cut_in(view: SituationView, row: int) -> Iterator[Manoeuvre]:
         lowest = _CRAWL_SHARE * target.speed_mps if braking < _STOP_FROM_MPS2 else 0.0
         profile = SpeedProfile(0.0, IN_LANE_SHARE * change_s, -braking, lowest, limit)
         yield Manoeuvre("cut-in", row, way, profile, goal)
-    yield Manoeuvre("cut-in", row, way, positioning_profile(view, target, row), sets_up=True)
+    yield Manoeuvre("cut-in", row, way, positioning_profile(view, target, row), is_positioning=True)
 
 
 def positioning_profile(
@@ -238,7 +238,7 @@ def _from_edge(link: Link) -> str:
 
 def _stops(view: SituationView, row: int, kind: str, braking_mps2: tuple[float, ...]) -> Iterator[Manoeuvre]:
     """Yield stops of *row* with each of *braking_mps2*, if it leads the target and is fast enough."""
-    if _leads(view, row) and view.speed(row) > STOPS_FROM_MPS:
+    if _leads(view, row) and view.speed(row) > MIN_STOPPING_SPEED_MPS:
         for braking in _possible_braking(view, row, braking_mps2):
             yield Manoeuvre(kind, row, view.ways[row], SpeedProfile(then_mps2=-braking))
 
@@ -257,7 +257,7 @@ def _leads(view: SituationView, row: int) -> bool:
     ahead, left = view.on_target_way[row]
     way_yaw = target.way.line.at(target.way.lane.s_m + ahead)[1]
     cosine = np.cos(view.scene.history.yaw_rad[row, -1] - way_yaw)
-    return bool(0.0 < ahead < LEADS_M and abs(left) < IN_LANE_M and cosine > SAME_WAY)
+    return bool(0.0 < ahead < LEADER_RANGE_M and abs(left) < IN_LANE_M and cosine > MIN_HEADING_COSINE)
 
 
 def _is_beside(view: SituationView, row: int) -> bool:
@@ -281,6 +281,6 @@ def _standing_ahead(view: SituationView, row: int) -> tuple[int, float] | None:
     positions = ((other, *view.position_on(view.ways[row], other)) for other in view.ways if other != row)
     ahead = [(s, other) for other, s, left in positions if s > 0.0 and abs(left) < IN_LANE_M]
     distance_m, other = min(ahead, default=(np.inf, row))
-    if distance_m > LEADS_M or other == view.scene.target or view.speed(other) > AS_GOOD_AS_STANDS_MPS:
+    if distance_m > LEADER_RANGE_M or other == view.scene.target or view.speed(other) > STANDING_BELOW_MPS:
         return None
     return other, view.gap_m(distance_m, row, other)

@@ -24,7 +24,7 @@ _RETRY_S = 1.0
 """After this time a queue for which there was no room is tried again, farther on."""
 
 
-def advance(
+def update_manoeuvres(
     view: SituationView, memory: Commitments, attackers: int, pause_s: float, licence: Licence | None = LAWFUL
 ) -> tuple[list[Manoeuvre], Commitments]:
     """Return the manoeuvres that are driven now, and the updated memory.
@@ -52,17 +52,18 @@ def advance(
     company = company_manoeuvres(view, {m.row for m in driven}, licence) if has_company else []
     memory = replace(memory, company=tuple(names[m.row] for m in company))
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
-    standing = memory.standing.without({name for name, under_way in begun.items() if not under_way.sets_up})
+    attackers_begun = {name for name, under_way in begun.items() if not under_way.is_positioning}
+    standing = memory.standing.without(attackers_begun)
     return [*driven, *company], replace(memory, active={**memory.active, **begun}, standing=standing)
 
 
-def let_in(view: SituationView, memory: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
+def insert_vehicles(view: SituationView, memory: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return the vehicles that are inserted now, for the manoeuvres that may begin, and the updated memory.
 
     Standing vehicles are only in the memory.
     """
     memory = _update_standing(view, memory)
-    busy = {under_way.kind for under_way in memory.active.values() if not under_way.sets_up}
+    busy = {under_way.kind for under_way in memory.active.values() if not under_way.is_positioning}
     kinds = [kind for kind in memory.insertable_kinds(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
     if memory.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):
@@ -106,7 +107,7 @@ def _commitment(manoeuvre: Manoeuvre, now_s: float, features: tuple[float, ...])
         manoeuvre.profile,
         now_s,
         now_s,
-        manoeuvre.sets_up,
+        manoeuvre.is_positioning,
         manoeuvre.delay_s,
         goal_lane,
         features,

@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.signal_letters import RED
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.answers import TargetWay
+from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS

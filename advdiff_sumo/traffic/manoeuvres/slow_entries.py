@@ -13,7 +13,6 @@ from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, SlowBody
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
-    AS_GOOD_AS_STANDS_MPS,
     BESIDE_M,
     IN_LANE_M,
     IN_LANE_SHARE,
@@ -22,6 +21,7 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     PULL_OUT,
     SLOW_ENTRIES,
     SLOW_MERGE,
+    STANDING_BELOW_MPS,
     way_on_target_lane,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, SituationView
@@ -60,17 +60,13 @@ def slow_merge(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     gap_m = view.gap_m(view.on_target_way[row][0], row, view.scene.target)
     if gap_m - lost_m >= entry_gap_m(target.speed_mps, end_mps, end_mps, _ENTERS_S):
         slowing = SpeedProfile(-_SLOWING_MPS2, slowing_s, 0.0, end_mps, way.lane.speed_mps)
-        yield Manoeuvre(SLOW_MERGE, row, way, slowing, sets_up=True)
+        yield Manoeuvre(SLOW_MERGE, row, way, slowing, is_positioning=True)
 
 
 def pull_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Yield departures into the target's lane of a vehicle that stands on the lane beside, towards the kerb."""
     goal = _goal(view, row)
-    if (
-        goal is None
-        or view.speed(row) > AS_GOOD_AS_STANDS_MPS
-        or _side_of(view, goal, row) != kerb_side(view)
-    ):
+    if goal is None or view.speed(row) > STANDING_BELOW_MPS or _side_of(view, goal, row) != kerb_side(view):
         return
     way = view.ways[row]
     accel = SETS_OFF_MPS2[view.scene.history.classes[row] in HEAVY_CLASSES]
@@ -118,7 +114,7 @@ def can_begin_later(
 
     By then the gap is smaller: a slow entry begins with the smallest gap that the licence allows.
     """
-    if manoeuvre.kind not in SLOW_ENTRIES or manoeuvre.sets_up or needed_mps2 == 0.0:
+    if manoeuvre.kind not in SLOW_ENTRIES or manoeuvre.is_positioning or needed_mps2 == 0.0:
         return False
     row, target = manoeuvre.row, view.scene.target
     lost_m = PLAN_DT_S * (view.speed(target) - view.speed(row))

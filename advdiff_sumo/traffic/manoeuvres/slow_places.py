@@ -10,9 +10,9 @@ import numpy as np
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Lane, Link
-from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S, TargetWay
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT
+from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S, TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     PULLS_OUT_MPS,

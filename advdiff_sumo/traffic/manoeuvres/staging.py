@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     Approach,
     priority_approaches,
 )
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, STOPS_FROM_MPS
+from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, MIN_STOPPING_SPEED_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -32,7 +32,7 @@ SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.M
 """Length and width of inserted vehicles."""
 BUS_SIZE_M = (12.0, 2.5)
 """The same of a bus, which is inserted only at a kerb."""
-STAGED = 6
+DEFAULT_MAX_INSERTED = 6
 """Default of the most vehicles that are inserted during an episode."""
 _PAUSE_S = 2.0  # after an insertion
 _NO_PLACE_BEFORE = RED | {PLAIN_YELLOW}
@@ -244,7 +244,7 @@ def _is_apart(newcomer: Newcomer, taken: Sequence[Newcomer]) -> bool:
 def _missing_company(view: SituationView) -> Iterator[Newcomer]:
     """Yield cars for the places of the company, beside and behind the target, that nobody takes yet."""
     target, row = view.target, view.scene.target
-    if target is None or target.speed_mps < STOPS_FROM_MPS:
+    if target is None or target.speed_mps < MIN_STOPPING_SPEED_MPS:
         return
     nearest_m = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
     for side, ahead_m in insertion_places(view, nearest_m):

@@ -16,9 +16,9 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.manoeuvres.answers import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_DRIVING_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT, SLOW_ENTRIES, SLOW_MERGE
+from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, with_newcomers

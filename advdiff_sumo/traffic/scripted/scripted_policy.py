@@ -26,10 +26,10 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     Intensity,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
-from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
-from advdiff_sumo.traffic.manoeuvres.staging import STAGED, plan_with
+from advdiff_sumo.traffic.manoeuvres.staging import DEFAULT_MAX_INSERTED, plan_with
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import with_standing
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class ScriptedOptions(Options):
     spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
     early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
     reveals_s: float | None = Field(None, ge=LEAST_REVEALS_S, le=MOST_REVEALS_S)
-    staged: int = Field(STAGED, ge=0, le=20)
+    staged: int = Field(DEFAULT_MAX_INSERTED, ge=0, le=20)
     reward: str = ""
 
 
@@ -98,9 +98,9 @@ class ScriptedTraffic:
         view = SituationView.of(road, scene)
         options = self.options
         licence = licence_of(options.licence)
-        driven, memory = advance(view, memory, options.attackers, options.pause_s, licence)
+        driven, memory = update_manoeuvres(view, memory, options.attackers, options.pause_s, licence)
         state = AttackState(options.attack, memory.attacking, memory.manoeuvres)
-        newcomers, memory = let_in(view, memory)
+        newcomers, memory = insert_vehicles(view, memory)
         plan = plan_with(tracks_of_manoeuvres(view, driven), newcomers, state)
         return with_standing(plan, memory.standing, scene.time_s), memory
 

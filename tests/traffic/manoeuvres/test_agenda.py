@@ -10,7 +10,7 @@ import pytest
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import scene_on, view_of
 
@@ -106,5 +106,5 @@ def test_a_junction_where_the_target_has_to_yield_comes_first(
     agenda = Agenda(order).updated(view)
     assert agenda.order == (("crossing", "hard-stop", "cut-in") if crossing_first else order)
     kept = replace(Commitments.start("any", np.random.default_rng(0), 6), agenda=agenda)
-    leaders = [newcomer for newcomer in let_in(view, kept)[0] if newcomer.speed_mps == speed_mps]
+    leaders = [newcomer for newcomer in insert_vehicles(view, kept)[0] if newcomer.speed_mps == speed_mps]
     assert len(leaders) == (not crossing_first)

@@ -10,11 +10,11 @@ import pytest
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
-from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.required_braking import INSUFFICIENT_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of

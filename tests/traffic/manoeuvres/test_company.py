@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.company import (
 from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company, is_masked
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
-from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, insert_newcomers
 from tests.sim.nets import build
@@ -36,7 +36,7 @@ FRONT, REAR, LEVEL = {"front": (2, 108.0, 20.0)}, {"rear": (2, 87.0, 20.0)}, {"l
 
 def stop(view: SituationView) -> bool:
     """Return whether the leader, row 1, may stop."""
-    return any(not manoeuvre.sets_up for manoeuvre in hard_stop_in_company(view, 1))
+    return any(not manoeuvre.is_positioning for manoeuvre in hard_stop_in_company(view, 1))
 
 
 def test_the_company_keeps_lawful_gaps(motorway: RoadMap) -> None:
@@ -124,7 +124,7 @@ def test_the_leader_stops_if_others_are_nearer(
 ) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **company)
     assert stop(view) == stops
-    assert any(manoeuvre.sets_up for manoeuvre in hard_stop_in_company(view, 1))
+    assert any(manoeuvre.is_positioning for manoeuvre in hard_stop_in_company(view, 1))
 
 
 def test_a_careful_driver_avoids_the_stopping_leader(motorway: RoadMap) -> None:
@@ -141,7 +141,7 @@ def test_the_leader_brakes_as_prescribed(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL, time_s=10.0)
     since_s = dict.fromkeys(view.scene.history.ids, 0.0)
     kept = Commitments({DOUBLE: 1.0}, intensity=Intensity(braking_mps2=5.0), since_s=since_s)
-    stops = [m for m in advance(view, kept, 1, 8.0)[0] if m.kind == DOUBLE]
+    stops = [m for m in update_manoeuvres(view, kept, 1, 8.0)[0] if m.kind == DOUBLE]
     assert [m.profile.then_mps2 for m in stops] == [-5.0]
 
 
@@ -196,12 +196,12 @@ def test_the_company_leaves_room_for_a_target_that_changes_lanes(
 
 def test_the_company_takes_part_in_the_encounter_without_attacking(motorway: RoadMap) -> None:
     view = view_of(motorway, **TARGET, **LEADER, **FRONT, **REAR, **LEVEL)
-    driven, kept = advance(view, Commitments({DOUBLE: 1.0}), 1, 8.0)
+    driven, kept = update_manoeuvres(view, Commitments({DOUBLE: 1.0}), 1, 8.0)
     assert [m.kind for m in driven] == [DOUBLE, *[ACCOMPANIES] * 3]
     assert kept.active.keys() == {"leader"}
     assert kept.manoeuvres == dict.fromkeys(("front", "rear", "level"), DOUBLE)
     assert kept.attacking == ()
-    assert advance(view, Commitments({"hard-stop": 1.0}), 1, 8.0)[1].manoeuvres == {}
+    assert update_manoeuvres(view, Commitments({"hard-stop": 1.0}), 1, 8.0)[1].manoeuvres == {}
 
 
 def test_company_is_inserted_around_the_target(motorway: RoadMap) -> None:
@@ -225,7 +225,7 @@ def test_company_is_inserted_around_the_target(motorway: RoadMap) -> None:
 def test_an_episode_of_double_has_no_other_kind(motorway: RoadMap) -> None:
     kept = Commitments.start("double", np.random.default_rng(3), staged=6)
     view = view_of(motorway, **TARGET)
-    newcomers, kept = let_in(view, kept)
+    newcomers, kept = insert_vehicles(view, kept)
     assert kept.startable_kinds(view) == (DOUBLE,)
     assert len(newcomers) == 4
     assert kept.attacking == ()

@@ -42,7 +42,9 @@ def test_a_cut_in_brakes_only_after_the_entry_unless_it_is_reckless(
     view.scene.history.xy_m[1] += beside
     view.scene.history.size_m[1, 1] = width_m
     view = SituationView.of(motorway, view.scene)
-    cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
+    cuts_in = Commitment(
+        "cut-in", SpeedProfile(then_mps2=-6.5), 3.0, 4.5, is_positioning=False, goal_lane=lane.id
+    )
     memory = Commitments({"cut-in": 1.0}, active={"other": cuts_in})
     going, _ = continue_manoeuvres(view, memory, 8.0, licence)
     assert [m.kind for m in going] == ["cut-in"]
@@ -59,6 +61,8 @@ def test_a_cut_in_ends_if_no_braking_could_avoid_it_after_the_entry(motorway: Ro
     view = view_of(motorway, time_s=5.0, target=(0, 80.0, 30.0), other=(1, 110.5, 30.0))
     lane = view.target.way.present_lane if view.target is not None else None
     assert lane is not None
-    cuts_in = Commitment("cut-in", SpeedProfile(then_mps2=-8.5), 3.0, 4.5, sets_up=False, goal_lane=lane.id)
+    cuts_in = Commitment(
+        "cut-in", SpeedProfile(then_mps2=-8.5), 3.0, 4.5, is_positioning=False, goal_lane=lane.id
+    )
     memory = Commitments({"cut-in": 1.0}, active={"other": cuts_in})
     assert continue_manoeuvres(view, memory, 8.0, LAWFUL)[0] == []

@@ -8,10 +8,10 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.answers import notices_no_stop_s, trapped_share
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, continued_crossings
-from advdiff_sumo.traffic.manoeuvres.schedule import advance
+from advdiff_sumo.traffic.manoeuvres.required_braking import notices_no_stop_s, trapped_share
+from advdiff_sumo.traffic.manoeuvres.schedule import update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.planners.encounters import Encounter, Scripted, crossing, over
@@ -106,8 +106,8 @@ def test_no_vehicle_accelerates_towards_a_target_on_the_junction(light: RoadMap)
 
 def test_a_crossing_ends_once_the_target_drives_ahead_on_the_same_lane(motorway: RoadMap) -> None:
     """They are 20 m apart on one lane. A crossing vehicle that went on would run into the rear of the target."""
-    begun = Commitment("crossing", SpeedProfile(), 0.0, 0.0, sets_up=False)
+    begun = Commitment("crossing", SpeedProfile(), 0.0, 0.0, is_positioning=False)
     for other_m, goes_on in ((30.0, False), (70.0, True)):
         view = view_of(motorway, target=(0, 50.0, 5.0), other=(0, other_m, 10.0))
-        driven, _ = advance(view, Commitments({"crossing": 1.0}, {"other": begun}), 1, 8.0)
+        driven, _ = update_manoeuvres(view, Commitments({"crossing": 1.0}, {"other": begun}), 1, 8.0)
         assert bool(driven) is goes_on

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.required_braking import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, long_lane, view_of
 

@@ -14,9 +14,9 @@ from advdiff_sumo.models.failure_predictor import FailurePredictor
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
-from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, answers
+from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, is_probed
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
-from advdiff_sumo.traffic.manoeuvres.schedule import advance
+from advdiff_sumo.traffic.manoeuvres.schedule import update_manoeuvres
 from tests.traffic.manoeuvres.scenes import view_of
 
 COUNT = len(FEATURES)
@@ -75,11 +75,11 @@ def test_a_stop_is_no_probe_of_cut_ins() -> None:
         return features
 
     stop, lorry, cut_in = met("hard-stop", 0.0), met("hard-stop", 1.0), met("cut-in", 0.0)
-    assert [answers(1, features) for features in (stop, lorry, cut_in)] == [False, True, False]
-    assert [answers(3, features) for features in (stop, lorry, cut_in)] == [False, False, True]
-    assert not answers(3, np.concatenate((stop, met("cut-in", 1.0))))  # neither has both kind and class
-    assert answers(3, np.concatenate((stop, cut_in)))
-    assert not answers(0, np.zeros((0, COUNT)))
+    assert [is_probed(1, features) for features in (stop, lorry, cut_in)] == [False, True, False]
+    assert [is_probed(3, features) for features in (stop, lorry, cut_in)] == [False, False, True]
+    assert not is_probed(3, np.concatenate((stop, met("cut-in", 1.0))))  # neither has both kind and class
+    assert is_probed(3, np.concatenate((stop, cut_in)))
+    assert not is_probed(0, np.zeros((0, COUNT)))
 
 
 def test_the_kind_in_which_the_target_fails_has_most_turns() -> None:
@@ -125,13 +125,13 @@ def test_a_single_kind_begins_even_if_others_have_better_predictions(
     )
     assert kept.preference is not None
     ranked = rank(view, list(KINDS["hard-stop"](view, 1)), {"hard-stop": 1.0}, preference=kept.preference)
-    assert any(not chosen.manoeuvre.sets_up for chosen in ranked) == begins
+    assert any(not chosen.manoeuvre.is_positioning for chosen in ranked) == begins
 
 
 def test_manoeuvres_are_ranked_by_predicted_failures(motorway: RoadMap) -> None:
     """A leader brakes so that 5 or 6 m/s² are required. More is better, unless the target fails where less is."""
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))
-    proposals = [m for m in KINDS["hard-stop"](view, 1) if not m.sets_up]
+    proposals = [m for m in KINDS["hard-stop"](view, 1) if not m.is_positioning]
     weights = {"hard-stop": 1.0}
     plain = rank(view, proposals, weights)
     assert len({chosen.needed_mps2 for chosen in plain}) > 1
@@ -153,13 +153,13 @@ def test_a_manoeuvre_that_prevents_a_far_better_encounter_does_not_begin(motorwa
     ):
         explored = preference.draw(np.random.default_rng(0), {AgentClass.CAR: 1.0}, 1)[1]
         ranked = rank(view, proposals, {"hard-stop": 1.0}, preference=explored)
-        assert any(not chosen.manoeuvre.sets_up for chosen in ranked) == begins
+        assert any(not chosen.manoeuvre.is_positioning for chosen in ranked) == begins
 
 
 def test_an_encounter_keeps_its_features(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 90.0, 20.0))
     begun = Commitments.start("hard-stop", np.random.default_rng(0), preference=preference_for())
-    _, memory = advance(view, begun, 2, 8.0)
+    _, memory = update_manoeuvres(view, begun, 2, 8.0)
     assert len(memory.active["leader"].features) == COUNT
-    _, plain = advance(view, replace(begun, preference=None), 2, 8.0)
+    _, plain = update_manoeuvres(view, replace(begun, preference=None), 2, 8.0)
     assert plain.active["leader"].features == ()

@@ -15,7 +15,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import (
     still_follows,
 )
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.schedule import advance
+from advdiff_sumo.traffic.manoeuvres.schedule import update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
@@ -77,7 +77,7 @@ def advanced(road: RoadMap, gap_m: float) -> tuple[list[Manoeuvre], Commitments]
     kept = Commitments.start("hard-stop", np.random.default_rng(0))
     for time_s in (0.0, 3.0):
         view = view_of(road, time_s=time_s, target=(0, 80.0, 10.0), **cars)
-        driven, kept = advance(view, kept, 2, 8.0)
+        driven, kept = update_manoeuvres(view, kept, 2, 8.0)
     return driven, kept
 
 
@@ -89,14 +89,14 @@ def test_the_follower_brakes_when_the_leader_stops(motorway: RoadMap) -> None:
     stand = view_of(
         motorway, time_s=6.0, target=(0, 90.0, 0.0), leader=(0, 97.0, 0.0), follower=(0, 80.0, 3.0)
     )
-    driven, kept = advance(stand, kept, 2, 8.0)
+    driven, kept = update_manoeuvres(stand, kept, 2, 8.0)
     assert driven == []
     assert kept.active == {}
 
 
 def test_no_leader_stops_before_a_target_that_is_followed_too_closely(motorway: RoadMap) -> None:
     driven, kept = advanced(motorway, 2.0)
-    assert [m for m in driven if not m.sets_up] == []
+    assert [m for m in driven if not m.is_positioning] == []
     assert kept.attacking == ()
 
 
@@ -130,8 +130,8 @@ def test_the_follower_brakes_once_a_yielding_target_must_brake(
     to = downtown.lanes[link.to_lane].edge_id
     across = (there.edge_id, downtown.lanes[first.to_lane].edge_id)
     view = SituationView.of(downtown, replace(scene, routes=((lane.edge_id, to), across, (lane.edge_id, to))))
-    crosses = Commitment("crossing", SpeedProfile(), 3.5, 4.0, sets_up=False)
+    crosses = Commitment("crossing", SpeedProfile(), 3.5, 4.0, is_positioning=False)
     kept = Commitments({"crossing": 1.0}, active={"other": crosses}, since_s={"other": 0.0})
-    driven, _ = advance(view, kept, 2, 8.0)
+    driven, _ = update_manoeuvres(view, kept, 2, 8.0)
     assert "crossing" in {m.kind for m in driven}
     assert (FOLLOWS in {m.kind for m in driven}) is brakes

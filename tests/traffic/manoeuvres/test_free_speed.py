@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.answers import TargetWay, contact_share
 from advdiff_sumo.traffic.manoeuvres.free_speed import FINE_TIMES_S, can_slow_for_bends, speeds_along
+from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay, contact_share
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from tests.traffic.manoeuvres.scenes import scene_on, view_of

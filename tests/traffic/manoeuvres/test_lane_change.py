@@ -151,7 +151,7 @@ def test_lorries_brake_no_harder_than_possible(
     classes = np.array([AgentClass.CAR, agent_class])
     history = replace(view.scene.history, classes=classes)
     view = SituationView.of(motorway, replace(view.scene, history=history))
-    stops = [m.profile.then_mps2 for m in KINDS["hard-stop"](view, 1) if not m.sets_up]
+    stops = [m.profile.then_mps2 for m in KINDS["hard-stop"](view, 1) if not m.is_positioning]
     assert min(stops) == -hardest_mps2
     assert len(set(stops)) == len(stops)
 

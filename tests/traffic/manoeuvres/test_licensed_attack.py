@@ -15,7 +15,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.licensed_attack import RECKLESS, licensed_attack
+from advdiff_sumo.traffic.manoeuvres.licensed_attack import UNRESTRICTED, licensed_attack
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.planning.futures import Futures, coasting
 from advdiff_sumo.traffic.policy_registry import make_policy
@@ -122,7 +122,7 @@ def test_a_vehicle_that_sets_off_after_a_manoeuvre_follows_its_lane(
 
 
 def test_reckless_is_as_in_the_paper(downtown: RoadMap, street: Callable[..., Scene]) -> None:
-    assert attack_of(downtown, street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0]), "reckless") is RECKLESS
+    assert attack_of(downtown, street([(60.0, 0.0), (40.0, 0.0)], [5.0, 13.0]), "reckless") is UNRESTRICTED
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS, blocked_since, waiting_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.schedule import advance
+from advdiff_sumo.traffic.manoeuvres.schedule import update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.traffic.manoeuvres.scenes import long_lane, scene_on
 
@@ -109,8 +109,8 @@ def test_reckless_traffic_does_not_wait(motorway: RoadMap) -> None:
     def waits(driven: list[Manoeuvre]) -> list[int]:
         return [m.row for m in driven if m.kind == WAITS]
 
-    assert waits(advance(view, kept, 2, 8.0, LAWFUL)[0]) == [1]
-    assert waits(advance(view, kept, 2, 8.0, None)[0]) == []
+    assert waits(update_manoeuvres(view, kept, 2, 8.0, LAWFUL)[0]) == [1]
+    assert waits(update_manoeuvres(view, kept, 2, 8.0, None)[0]) == []
 
 
 @pytest.mark.parametrize(("at_m", "waits"), [(94.25, True), (92.0, False)])

@@ -13,7 +13,7 @@ from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, filter_oncoming
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import priority_approaches, turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
-from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from tests.planners.encounters import CROSSING, Encounter, Scripted, bending, crossing, over
 from tests.sim.nets import build
@@ -71,7 +71,7 @@ def test_no_oncoming_vehicle_without_priority(route: tuple[str, str], sign: Road
     assert bool(list(priority_approaches(view, True))) == (route == NORTH)
     assert not list(priority_approaches(view, True, None, True))
     kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
-    assert let_in(view, kept)[0] == ()
+    assert insert_vehicles(view, kept)[0] == ()
 
 
 def test_vehicles_on_a_bending_main_road_are_as_slow_as_the_bend(bend: RoadMap) -> None:

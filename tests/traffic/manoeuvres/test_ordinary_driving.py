@@ -27,7 +27,7 @@ def test_a_stop_may_begin_after_three_seconds_in_view(
     view = view_of(motorway, time_s=time_s, target=(0, 50.0, 10.0), leader=(0, 75.0, 10.0))
     stop = Manoeuvre("hard-stop", 1, view.ways[1])
     assert is_seen_long_enough(view, stop, {"leader": since_s}) is may_begin
-    assert is_seen_long_enough(view, replace(stop, sets_up=True), {"leader": since_s})
+    assert is_seen_long_enough(view, replace(stop, is_positioning=True), {"leader": since_s})
 
 
 def test_a_lane_change_may_begin_earlier_by_its_time_to_the_line(motorway: RoadMap) -> None:
@@ -72,7 +72,7 @@ def test_a_vehicle_may_get_into_position_before_a_red_light_if_it_can_stop(downt
     for to_line_m, allowed in ((28.0, False), (30.0, True)):
         scene = scene_on({"target": (lane, 5.0, 10.0), "other": (lane, lane.length_m - to_line_m, 10.0)})
         view = SituationView.of(downtown, replace(scene, signals={link.tls_id or "": "r" * 60}))
-        steady = Manoeuvre("hard-stop", 1, view.ways[1], sets_up=True)
+        steady = Manoeuvre("hard-stop", 1, view.ways[1], is_positioning=True)
         futures = futures_of_manoeuvres([steady], np.array([10.0]))
         assert bool(lawful_mask(view, [steady], futures)[0]) is allowed
         assert has_red_ahead(view) is (lane.length_m - 5.0 < 80.0)

@@ -11,7 +11,6 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import CARELESS, LAWFUL
-from advdiff_sumo.traffic.manoeuvres.answers import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
@@ -19,6 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
+from advdiff_sumo.traffic.manoeuvres.required_braking import INSUFFICIENT_MPS2
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     PROPOSALS,
@@ -95,10 +95,10 @@ def test_a_vehicle_that_is_too_fast_slows_gently_if_there_is_room(motorway: Road
     """
     for ahead_m, slows in ((66.0, True), (62.0, False)):
         view = view_of(motorway, target=(0, 50.0, 14.0), other=(1, 50.0 + ahead_m, 8.0))
-        set_ups = [m for m in slow_merge(view, 1) if m.sets_up]
-        assert bool(set_ups) is slows
+        positioning = [m for m in slow_merge(view, 1) if m.is_positioning]
+        assert bool(positioning) is slows
         assert all(
-            (m.profile.first_mps2, m.profile.lowest_mps) == (-1.5, pytest.approx(4.2)) for m in set_ups
+            (m.profile.first_mps2, m.profile.lowest_mps) == (-1.5, pytest.approx(4.2)) for m in positioning
         )
 
 
@@ -202,7 +202,9 @@ def test_an_entry_that_requires_too_much_braking_is_not_chosen(motorway: RoadMap
     assert best.manoeuvre.goal is not None
     assert 2.0 <= best.needed_mps2 <= 5.0
     near, _ = merges(motorway, 15.0, 14.0, 3.5)
-    assert all(c.manoeuvre.sets_up for c in rank(near, list(slow_merge(near, 1)), weights, licence=None))
+    assert all(
+        c.manoeuvre.is_positioning for c in rank(near, list(slow_merge(near, 1)), weights, licence=None)
+    )
 
 
 def continued(road: RoadMap, gap_m: float, aside_m: float) -> list[Manoeuvre]:
@@ -212,7 +214,7 @@ def continued(road: RoadMap, gap_m: float, aside_m: float) -> list[Manoeuvre]:
     lane = long_lane(road)
     view.scene.history.xy_m[1] += lane.line.at(place, aside_m)[0] - view.scene.history.xy_m[1, -1]
     view = SituationView.of(road, view.scene)
-    merging = Commitment(SLOW_MERGE, SpeedProfile(), 4.0, 4.5, sets_up=False, goal_lane=lane.id)
+    merging = Commitment(SLOW_MERGE, SpeedProfile(), 4.0, 4.5, is_positioning=False, goal_lane=lane.id)
     memory = Commitments({SLOW_MERGE: 1.0}, active={"other": merging})
     return continue_manoeuvres(view, memory, 8.0, LAWFUL)[0]
 

@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres import commitments
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda, is_possible
 from advdiff_sumo.traffic.manoeuvres.commitments import ANY_KINDS, Commitments
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, SLOW_ENTRIES
-from advdiff_sumo.traffic.manoeuvres.schedule import advance, let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_places import can_insert_slow_vehicle, insert_slow_vehicle
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory
@@ -90,7 +90,7 @@ def test_the_kerb_is_on_the_side_of_the_traffic(net: str, networks: object) -> N
     for own, other, begins in ((inner, outer, True), (outer, inner, False)):
         scene = scene_on({"target": (own, 10.0, 8.0), "bus": (other, 50.0, 0.0)}, time_s=3.0)
         kept = Commitments({"pull-out": 1.0}, since_s={"bus": 0.0})
-        driven, _ = advance(SituationView.of(road, scene), kept, 2, 8.0)
+        driven, _ = update_manoeuvres(SituationView.of(road, scene), kept, 2, 8.0)
         assert [(m.kind, m.row) for m in driven] == [("pull-out", 1)] * begins
 
 
@@ -123,11 +123,11 @@ def test_a_vehicle_that_pulls_out_no_longer_counts_as_standing(motorway: RoadMap
     (bus,) = inserted(view_of(motorway, target=(1, 50.0, 10.0)), "pull-out")
     kept = Commitments({"pull-out": 1.0}, since_s={"staged-0": 0.0}, stage=STAGE)
     kept = replace(kept, standing=StandingTraffic("pull-out", (bus,), 0.0, 15.0))
-    driven, after = advance(view, kept, 2, 8.0)
+    driven, after = update_manoeuvres(view, kept, 2, 8.0)
     assert [m.kind for m in driven] == ["pull-out"]
     assert after.standing.members == ()
     assert after.attacking == ("staged-0",)
-    assert let_in(view, after)[1].standing.members == ()
+    assert insert_vehicles(view, after)[1].standing.members == ()
 
 
 def test_any_has_no_slow_entries_by_default(motorway: RoadMap) -> None:
@@ -154,5 +154,5 @@ def test_slow_entries_can_be_added_to_any(motorway: RoadMap, monkeypatch: pytest
     after = [Commitments.start("any", np.random.default_rng(k), 6) for k in range(20)]
     assert {kind for kept in before for kind in kept.weights} == set(KINDS)
     assert all(set(kept.weights) == {*KINDS, *SLOW_ENTRIES} for kept in after)
-    kinds = {kept.agenda.now: let_in(free, kept)[1].standing.kind for kept in after}
+    kinds = {kept.agenda.now: insert_vehicles(free, kept)[1].standing.kind for kept in after}
     assert all(kinds[kind] == kind for kind in SLOW_ENTRIES)

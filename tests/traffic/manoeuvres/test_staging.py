@@ -79,12 +79,12 @@ def test_a_vehicle_inserted_ahead_of_a_fast_target_counts_as_its_leader(motorway
     assert ahead == pytest.approx(57.5, abs=0.1)
     for place, leads in ((50.0 + ahead, True), (120.0, False)):
         led = view_of(motorway, target=(0, 50.0, 33.0), leader=(0, place, 33.0))
-        assert any(not m.sets_up for m in hard_stop(led, 1)) == leads
+        assert any(not m.is_positioning for m in hard_stop(led, 1)) == leads
 
 
 def test_only_the_next_vehicle_ahead_gets_into_position_for_a_stop(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 75.0, 20.0), second=(0, 95.0, 20.0))
-    assert [any(m.sets_up for m in hard_stop(view, row)) for row in (1, 2)] == [True, False]
+    assert [any(m.is_positioning for m in hard_stop(view, row)) for row in (1, 2)] == [True, False]
 
 
 @pytest.mark.parametrize(("place_m", "is_inserted"), [(52.0, True), (95.0, False)])

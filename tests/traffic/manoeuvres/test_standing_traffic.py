@@ -12,7 +12,7 @@ from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.schedule import let_in
+from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from advdiff_sumo.traffic.manoeuvres.standing_traffic import (
@@ -154,13 +154,13 @@ def test_a_queue_without_room_gives_up_its_turn_and_its_vehicles(
     is_inserted: bool, motorway: RoadMap
 ) -> None:
     kept = Commitments({"cut-in": 1.0}, stage=STAGE, agenda=Agenda(("queue", "cut-in")))
-    newcomers, kept = let_in(view_of(motorway, target=(0, 50.0, 20.0)), kept)
+    newcomers, kept = insert_vehicles(view_of(motorway, target=(0, 50.0, 20.0)), kept)
     assert newcomers == ()
     count = len(kept.standing.members)
     assert kept.attacking == kept.standing.names
     assert kept.manoeuvres == dict.fromkeys(kept.standing.names, "queue")
     queue = kept.standing if is_inserted else replace(kept.standing, members=())
-    _, after = let_in(later(motorway, queue, 0.5, 20.0, 60.0), kept)
+    _, after = insert_vehicles(later(motorway, queue, 0.5, 20.0, 60.0), kept)
     assert after.standing.members == queue.members
     assert after.agenda.now == ("queue" if is_inserted else "cut-in")
     assert after.stage.most == STAGE.most + (0 if is_inserted else count)
@@ -170,6 +170,6 @@ def test_a_queue_without_room_gives_up_its_turn_and_its_vehicles(
 def test_no_other_vehicle_attacks_at_a_queue(motorway: RoadMap) -> None:
     kept = Commitments({"cut-in": 1.0}, stage=STAGE, agenda=Agenda(("queue", "cut-in")))
     view = view_of(motorway, target=(0, 50.0, 20.0))
-    _, kept = let_in(view, kept)
+    _, kept = insert_vehicles(view, kept)
     assert kept.standing.is_queue
     assert kept.startable_kinds(view) == kept.insertable_kinds(view) == ()

@@ -11,7 +11,10 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.choice import rank
-from advdiff_sumo.traffic.manoeuvres.graded import (
+from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
+from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
+from advdiff_sumo.traffic.manoeuvres.prescribed_severity import (
     AFTER_ENTRY_MPS2,
     GAP_TOLERANCE_M,
     arrival_lead_s,
@@ -20,9 +23,6 @@ from advdiff_sumo.traffic.manoeuvres.graded import (
     with_braking,
     with_severity,
 )
-from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
-from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
@@ -37,7 +37,8 @@ def cut_ins(view: SituationView) -> list[Manoeuvre]:
 def test_a_prescribed_braking_replaces_only_the_braking_of_an_attack(motorway: RoadMap) -> None:
     view = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 85.0, 20.0))
     stop, closing = (
-        next(m for m in KINDS["hard-stop"](view, 1) if m.sets_up is sets_up) for sets_up in (False, True)
+        next(m for m in KINDS["hard-stop"](view, 1) if m.is_positioning is is_positioning)
+        for is_positioning in (False, True)
     )
     assert with_braking(stop, 2.5).profile.then_mps2 == -2.5
     assert with_braking(stop, None) is stop
@@ -65,11 +66,13 @@ def test_a_prescribed_gap_changes_the_position_and_fixes_the_braking(motorway: R
     view = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
     far, near = (list(with_severity(view, cut_ins(view), Intensity(spare_gap_m=gap))) for gap in (20.0, 0.0))
     assert [m.profile.then_mps2 for m in far if m.goal is not None] == [-AFTER_ENTRY_MPS2]
-    ahead, behind = (next(m for m in adapted if m.sets_up).profile.first_mps2 for adapted in (far, near))
+    ahead, behind = (
+        next(m for m in adapted if m.is_positioning).profile.first_mps2 for adapted in (far, near)
+    )
     assert ahead > behind
     assert list(with_severity(view, cut_ins(view), Intensity())) == cut_ins(view)
     wanted = rank(view, far, {"cut-in": 1.0}, intensity=Intensity(spare_gap_m=20.0))
-    assert wanted[0].manoeuvre.sets_up
+    assert wanted[0].manoeuvre.is_positioning
 
 
 def test_a_leader_leaves_at_the_prescribed_time_before_the_standing_vehicle(motorway: RoadMap) -> None:

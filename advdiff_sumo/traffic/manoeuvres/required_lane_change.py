@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.traffic.manoeuvres.answers import BRAKING_MPS2, TargetWay, needed_braking
+from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, TargetWay, needed_braking
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 

@@ -42,7 +42,7 @@ def with_severity(
     for manoeuvre in proposals:
         if manoeuvre.kind != "cut-in" or intensity.spare_gap_m is None or target is None:
             yield manoeuvre
-        elif manoeuvre.sets_up:
+        elif manoeuvre.is_positioning:
             profile = positioning_profile(view, target, manoeuvre.row, intensity.spare_gap_m)
             yield replace(manoeuvre, profile=profile)
         elif manoeuvre.profile.then_mps2 == -AFTER_ENTRY_MPS2:
@@ -60,7 +60,7 @@ def severity_match(
         driven_m: (T,) distances along its way at ``CHECK_TIMES_S``.
         intensity: the prescribed severities.
     """
-    if manoeuvre.sets_up or not intensity.is_prescribed_for(manoeuvre.kind):
+    if manoeuvre.is_positioning or not intensity.is_prescribed_for(manoeuvre.kind):
         return None
     if manoeuvre.kind == "cut-out":
         return 1.0
@@ -99,7 +99,7 @@ def arrival_lead_s(view: SituationView, row: int, driven_m: FloatArray) -> float
 
 def with_braking(manoeuvre: Manoeuvre, braking_mps2: float | None) -> Manoeuvre:
     """Return *manoeuvre* with this deceleration if it attacks by braking; None: leave it unchanged."""
-    if braking_mps2 is None or manoeuvre.sets_up or manoeuvre.kind not in (*BRAKING_KINDS, DOUBLE):
+    if braking_mps2 is None or manoeuvre.is_positioning or manoeuvre.kind not in (*BRAKING_KINDS, DOUBLE):
         return manoeuvre
     profile = manoeuvre.profile
     first, then = (-braking_mps2 if a < 0.0 else a for a in (profile.first_mps2, profile.then_mps2))

@@ -259,7 +259,7 @@ def _tell_changed(folder: Folder) -> None:
 
 def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
     """Return *scenes*, of a driving log its full path, and what a bench from a log has for usual options."""
-    from advdiff_sumo.experiments.bench.asked_scenes import LOG_HORIZON_S, is_log
+    from advdiff_sumo.experiments.bench.requested_scenes import LOG_HORIZON_S, is_log
 
     if scenes is None or not is_log(scenes):
         return scenes, {}

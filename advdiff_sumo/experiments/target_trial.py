@@ -95,8 +95,15 @@ class WatchedServedPlanner(WatchedPlanner):
 
 
 @dataclass(frozen=True)
-class Driven:
-    """The records of the episodes, of the first one run *again*, planning times, and scenes (if no plan: starts)."""
+class TrialResults:
+    """The results of the episodes.
+
+    Attributes:
+        records: of the episodes.
+        again: record of the first episode, run a second time.
+        plans_s: wall-clock seconds of each plan.
+        scenes: in which the planner planned; if it never did, the starts of the episodes.
+    """
 
     records: tuple[EpisodeRecord, ...]
     again: EpisodeRecord
@@ -156,7 +163,7 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     return [*contract, *drives, in_time(result.plans_s, extent.within_ms)]
 
 
-def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
+def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> TrialResults:
     """Run *planner* in SUMO's traffic; the first episode is run twice."""
     source = NaturalTraffic(
         road,
@@ -171,7 +178,7 @@ def drive(planner: Planner, name: str, road: RoadMap, extent: Extent) -> Driven:
     episodes = [_episode(k, start, road, watched, name, extent) for k, start in enumerate(seed_scenes)]
     repeated, _ = _episode(0, seed_scenes[0], road, planner, name, extent)
     plans_s = np.array([plan_s for _, plans in episodes for plan_s in plans])
-    return Driven(
+    return TrialResults(
         tuple(record for record, _ in episodes), repeated, plans_s, tuple(watched.scenes or watched.starts)
     )
 

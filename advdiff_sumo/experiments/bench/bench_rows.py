@@ -9,9 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.bench_config import Request, chosen_names
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
+from advdiff_sumo.experiments.bench.requested_scenes import requested_scenes
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
@@ -109,7 +109,7 @@ def resolve_request(
     Raises:
         InputError: a name is unknown, or the list of scenes cannot be used.
     """
-    scenes = asked_scenes(request, scene_list, folder)
+    scenes = requested_scenes(request, scene_list, folder)
     make = partial(made_target, options=request.episode.target_options)
     targets, missing_targets = chosen_names(request.targets, default_targets, TARGETS, "--targets", make)
     names, missing_rows = chosen_names(request.policies, default_rows, POLICIES, "--policies", made_policy)

@@ -14,13 +14,13 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.wording import counted
 from advdiff_sumo.experiments.bench.adapt import Adaptation, adapt
 from advdiff_sumo.experiments.bench.adversarial import notes_of
-from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request, chosen_names
 from advdiff_sumo.experiments.bench.bench_rows import PAPERS_LICENCE, refits_q, with_licence
 from advdiff_sumo.experiments.bench.cells import BenchCell, BenchCells, plan_cells
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.intervals import RESAMPLES, Difference, Estimate, Ratio, estimate
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
+from advdiff_sumo.experiments.bench.requested_scenes import bench_scenes
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
 from advdiff_sumo.experiments.bench.table import Cell, Gap, Head, Line, Table
 from advdiff_sumo.metrics.statistics import TAILS, widened_interval, wilson

@@ -16,7 +16,7 @@ from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.worker_pool import in_processes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.intervals import Divergence, Ratio, Sample
-from advdiff_sumo.experiments.bench.open_loop import MODELS, Counted, count
+from advdiff_sumo.experiments.bench.open_loop import MODELS, WindowCounts, count
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of, paper_table
 from advdiff_sumo.sim.training_windows.simulate import ShardResult, SimulateOptions, plan, simulate
@@ -52,7 +52,7 @@ def run_traffic(folder: Folder, workers: int, reporter: ProgressReporter) -> Tab
         InputError: a row is unknown, or a window file cannot be used.
     """
     names = chosen_models(folder.request, reporter)
-    counted: dict[str, Counted] = {}
+    counted: dict[str, WindowCounts] = {}
     for view in VIEWS:
         view_models = tuple(
             name for name in names if MODELS[name].view == view or (name == LOG and not counted)
@@ -162,7 +162,7 @@ def _counted(
     window_files: list[Path],
     workers: int,
     reporter: ProgressReporter,
-) -> dict[str, Counted]:
+) -> dict[str, WindowCounts]:
     """Return the counts of each row, joined over the seeds; chunks of windows that the folder has are not repeated."""
     request, cache = folder.request, folder.path / "counted"
     cache.mkdir(parents=True, exist_ok=True)
@@ -184,11 +184,11 @@ def _counted(
     for key, content in in_processes(tasks, workers):
         write_checked(cache / key, content)
         reporter.step()
-    counts_by_seed: dict[str, list[Counted]] = {name: [] for name in names}
+    counts_by_seed: dict[str, list[WindowCounts]] = {name: [] for name in names}
     for name in names:
         for seed in range(request.seeds):
             keys = [digest([windows.digest, name, chunk, request.samples, seed]) for chunk in chunks]
-            chunk_counts = [_counted_from_bytes(read_checked(cache / key) or b"") for key in keys]
+            chunk_counts = [_counts_from_bytes(read_checked(cache / key) or b"") for key in keys]
             counts_by_seed[name].append(_concatenated(chunk_counts))
     return {name: _over_seeds(parts) for name, parts in counts_by_seed.items()}
 
@@ -207,26 +207,30 @@ def _read(files: tuple[str, ...]) -> WindowSet:
     return read_window_set([Path(file) for file in files])
 
 
-def _counted_from_bytes(content: bytes) -> Counted:
+def _counts_from_bytes(content: bytes) -> WindowCounts:
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return Counted(**{field.name: arrays[field.name] for field in fields(Counted)})
+        return WindowCounts(**{field.name: arrays[field.name] for field in fields(WindowCounts)})
 
 
-def _concatenated(parts: list[Counted]) -> Counted:
-    return Counted(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Counted)})
+def _concatenated(parts: list[WindowCounts]) -> WindowCounts:
+    return WindowCounts(
+        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WindowCounts)}
+    )
 
 
-def _over_seeds(parts: list[Counted]) -> Counted:
+def _over_seeds(parts: list[WindowCounts]) -> WindowCounts:
     """Join the counts of several seeds: the mean of errors and numbers of vehicles, the sum of the others."""
     means = {"sfde_m", "fdd_m", "vehicles"}
     counts: dict[str, FloatArray] = {}
-    for field in fields(Counted):
+    for field in fields(WindowCounts):
         stacked = np.stack([getattr(part, field.name) for part in parts])
         counts[field.name] = stacked.mean(0) if field.name in means else stacked.sum(0)
-    return Counted(**counts)
+    return WindowCounts(**counts)
 
 
-def _samples(name: str, counted: Mapping[str, Counted], scenes: tuple[str, ...], seeds: int) -> RowSamples:
+def _samples(
+    name: str, counted: Mapping[str, WindowCounts], scenes: tuple[str, ...], seeds: int
+) -> RowSamples:
     counts, log_counts = counted[name], counted[LOG]
     has_vehicles = (counts.vehicles > 0.0).astype(np.float64)
     samples: dict[str, Sample] = {

@@ -63,7 +63,7 @@ class ComparedModel:
 
 
 @dataclass(frozen=True)
-class Counted:
+class WindowCounts:
     """Counts over W windows, each (W,) or (W, bins).
 
     Attributes:
@@ -151,7 +151,7 @@ MODELS: Mapping[str, ComparedModel] = {
 
 
 @torch.no_grad()
-def count(name: str, batch: SceneBatch, samples: int, seed: int) -> Counted:
+def count(name: str, batch: SceneBatch, samples: int, seed: int) -> WindowCounts:
     """Return the counts of the futures that model *name* samples for the windows of *batch*.
 
     Args:
@@ -166,7 +166,7 @@ def count(name: str, batch: SceneBatch, samples: int, seed: int) -> Counted:
     repeated = batch.repeat(samples_per_window)
     evaluated = judge(rollout, repeated, samples_per_window, repeated.future_valid if name == "log" else None)
     vehicles = evaluated.driving.sum(1)
-    return Counted(
+    return WindowCounts(
         sfde_m=_to_numpy(evaluated.sfde_m),
         fdd_m=_to_numpy(torch.where(evaluated.driving, evaluated.spread_m, 0.0).sum(1)),
         vehicles=_to_numpy(vehicles),

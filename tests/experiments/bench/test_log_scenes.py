@@ -8,12 +8,12 @@ import pytest
 
 from advdiff_sumo.core.errors import ConfigError, LogError, SceneError
 from advdiff_sumo.experiments.bench.adversarial import plan_adversarial
-from advdiff_sumo.experiments.bench.asked_scenes import bench_scenes, is_log
 from advdiff_sumo.experiments.bench.bench_config import BenchName, Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import POLICY_ROWS, with_licence
 from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.reporter import Silent
+from advdiff_sumo.experiments.bench.requested_scenes import bench_scenes, is_log
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, choose_scenes
 from advdiff_sumo.traffic.licence import LicenceName
 from tests.sim.records_made import record, write

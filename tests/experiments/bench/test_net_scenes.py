@@ -10,11 +10,11 @@ import pytest
 import sumolib
 
 from advdiff_sumo.core.errors import ConfigError, InputError, NetError
-from advdiff_sumo.experiments.bench.asked_scenes import asked_scenes
 from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.cells import BenchCells
 from advdiff_sumo.experiments.bench.defect_cells import plan_defects
 from advdiff_sumo.experiments.bench.reporter import Silent
+from advdiff_sumo.experiments.bench.requested_scenes import requested_scenes
 from advdiff_sumo.experiments.bench.runner import check_request
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, choose_scenes
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
@@ -73,7 +73,7 @@ def test_more_scenes_hold_the_fewer_ones(net: Path, tmp_path: Path) -> None:
 
 
 def test_several_nets_take_turns(net: Path) -> None:
-    scenes = asked_scenes(request(net, "motorway", net), DEFECTS_LIST, None).scenes
+    scenes = requested_scenes(request(net, "motorway", net), DEFECTS_LIST, None).scenes
     assert [(one.net, one.number) for one in scenes] == [(str(net), 0), ("motorway", 0), (str(net), 1)]
 
 

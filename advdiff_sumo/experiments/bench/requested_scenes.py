@@ -116,7 +116,7 @@ def _usable(road: RoadMap, reader: LogReader, options: SceneOptions) -> int:
     return sum(1 for _ in traffic.scenes())
 
 
-def asked_scenes(request: Request, name: str, folder: Path | None) -> SceneList:
+def requested_scenes(request: Request, name: str, folder: Path | None) -> SceneList:
     """Return the seed scenes of the request: of nets, of a list, or of a driving log.
 
     Args:

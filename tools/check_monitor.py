@@ -35,7 +35,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.experiments.judge_folder import open_judging
 from advdiff_sumo.export import ExportScene, make_exporter
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -156,7 +156,7 @@ def count(
     """Add the instants of one scene to *counts*."""
     tracks, target = record.tracks, record.target
     view = TrafficView.of_record(record, road)
-    ahead = following(tracks, target, road, record.route)
+    ahead = following_gaps(tracks, target, road, record.route)
     speed = tracks.speed_mps[target]
     spare_m = ahead.gap_m - safe_gap_m(speed + 0.0 * ahead.gap_m, speed - ahead.closing_mps)
     for step in answers["steps"]:

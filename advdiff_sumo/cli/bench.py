@@ -217,7 +217,7 @@ def run_or_print(
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_bench, request_of
     from advdiff_sumo.experiments.bench.print_table import print_table  # late: --help needs no simulator
     from advdiff_sumo.experiments.bench.runner import DEFAULTS, check_request, run_bench
-    from advdiff_sumo.experiments.bench.table_cache import finished
+    from advdiff_sumo.experiments.bench.table_cache import finished_table
 
     end_as_by_ctrl_c()
     console = terminal(quiet=as_json)
@@ -226,7 +226,7 @@ def run_or_print(
     scenes, usual = _of_log(given.get("scenes"))
     request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})
     _tell_changed(Folder(path, request))
-    table = finished(Folder(path, request))
+    table = finished_table(Folder(path, request))
     said: list[str] = []
     if table is None:
         check_request(request)

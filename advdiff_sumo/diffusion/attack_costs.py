@@ -63,7 +63,7 @@ def seen_attack(rollout: Rollout, gap: Tensor, placed: AttackStates) -> SeenAtta
     )
 
 
-def nearest(gap: Tensor) -> Tensor:
+def smooth_minimum(gap: Tensor) -> Tensor:
     """Return the smooth minimum (B, R) of gaps (B, R, T)."""
     return -SOFT_M * torch.logsumexp(-gap.clamp(min=TOUCHES_M) / SOFT_M, dim=-1)
 
@@ -85,40 +85,40 @@ def _meeting(e: SeenAttack, within_m: float) -> Tensor:
 
 
 def _any(e: SeenAttack) -> Tensor:
-    return nearest(e.gap)
+    return smooth_minimum(e.gap)
 
 
 def _cut_in(e: SeenAttack) -> Tensor:
     """Into the target's lane ahead of it and slower, between 2 and 4 s."""
     place = e.left.abs() + 0.3 * _between(e.ahead, e.reach + 0.5, e.reach + 6.0)
     slower = 0.3 * torch.relu(e.speed - (e.target_speed - 2.0))
-    return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * nearest(e.gap)
+    return _during(e, place + slower + 3.0 * (1.0 - e.same), 1.5, 4.0) + 0.3 * smooth_minimum(e.gap)
 
 
 def _brake(e: SeenAttack) -> Tensor:
     """Ahead in the target's lane, down to a fifth of its speed."""
     place = e.left.abs() + 0.3 * torch.relu(e.reach - e.ahead)
     slower = 0.5 * torch.relu(e.speed - 0.2 * e.target_speed)
-    return _during(e, place + slower, 0.5, 4.0) + 0.3 * nearest(e.gap)
+    return _during(e, place + slower, 0.5, 4.0) + 0.3 * smooth_minimum(e.gap)
 
 
 def _rear_end(e: SeenAttack) -> Tensor:
     """Behind in the target's lane and faster by 3 m/s."""
     place = e.left.abs() + 0.2 * _between(e.ahead, -e.reach - 1.0, -e.reach + 0.5)
     faster = 0.3 * torch.relu(e.target_speed + 3.0 - e.speed)
-    return _during(e, place + faster, 1.0, 4.0) + 0.5 * nearest(e.gap)
+    return _during(e, place + faster, 1.0, 4.0) + 0.5 * smooth_minimum(e.gap)
 
 
 def _head_on(e: SeenAttack) -> Tensor:
     """Into the target's lane against its heading."""
     meeting = _meeting(e, 15.0)
-    return nearest(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
+    return smooth_minimum(e.gap) + (meeting * (0.5 * e.left.abs() + (1.0 + e.same))).mean(-1)
 
 
 def _junction(e: SeenAttack) -> Tensor:
     """Across the target's path at the same place and time."""
     meeting = _meeting(e, 5.0)
-    return nearest(e.gap) + (meeting * e.same.square()).mean(-1)
+    return smooth_minimum(e.gap) + (meeting * e.same.square()).mean(-1)
 
 
 COSTS: Mapping[str, Callable[[SeenAttack], Tensor]] = {

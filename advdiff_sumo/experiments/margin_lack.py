@@ -32,7 +32,7 @@ _SHORT_EPISODE_S = 10.0
 _BY_LEADER = ("hard-stop", "blocked-lane", "stop-and-go", "cut-out")
 
 
-def lacking(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
+def lack_text(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str:
     """Return in words why no vehicle was in a position for *attack* in an episode.
 
     Args:

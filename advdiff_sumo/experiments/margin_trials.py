@@ -13,7 +13,7 @@ from advdiff_sumo.data.episode_states import states_of
 from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
 from advdiff_sumo.experiments.bench.cells import open_bench_store
 from advdiff_sumo.experiments.margin import Margin, Scale, Trial
-from advdiff_sumo.experiments.margin_lack import lacking
+from advdiff_sumo.experiments.margin_lack import lack_text
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.severity import is_valid_failure
 from advdiff_sumo.report.margin_table import COMMAND, SUBJECT, TRIALS, TrialRow, trials_text
@@ -97,7 +97,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         met = row["attacker_manoeuvre"] == attack if failed else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
         states = None if failed or met else states_of(stored.tables["states"])
-        lacks = "" if states is None else lacking(attack, row, states)
+        lacks = "" if states is None else lack_text(attack, row, states)
         return Trial(value, failed, met, left_road, lacks)
 
     def keep(self, margins: Sequence[MarginOf], command: str) -> None:

@@ -17,7 +17,7 @@ def schema_of(columns: Mapping[str, Column]) -> pa.Schema:
     return pa.schema([pa.field(name, _ARROW_TYPES[column.dtype]) for name, column in columns.items()])
 
 
-def upgraded(table: pa.Table, columns: Mapping[str, Column]) -> pa.Table:
+def upgraded_table(table: pa.Table, columns: Mapping[str, Column]) -> pa.Table:
     """Return *table* with missing *columns* of later versions appended, empty."""
     for name in columns:
         if name in LATER_COLUMNS and name not in table.column_names:

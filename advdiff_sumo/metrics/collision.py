@@ -14,7 +14,7 @@ from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
 from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, may_touch
-from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.kinematics import unbroken_steps
 
 #: Steps searched at once: in so short a time few pairs of agents come near each other.
 _CHUNK = 20
@@ -109,7 +109,7 @@ def both_walk(record: EpisodeRecord, i: int, j: int, step: int) -> bool:
 
 def tracks_collisions(tracks: Tracks, target: int, touches: Touches | None = None) -> list[Collision]:
     """Return every collision of *tracks*, recorded or planned, as :func:`collisions` does; *target* is a row."""
-    usable = unbroken(tracks)
+    usable = unbroken_steps(tracks)
     touches = touches if touches is not None else find_touches(tracks)
     contacts = [
         _collision(tracks, target, usable, touches, i) for i in _first_touches(tracks, usable, touches)
@@ -142,7 +142,7 @@ def overlapping_steps(touches: Touches) -> set[tuple[int, int, int]]:
 
 def find_touches(tracks: Tracks) -> Touches:
     """Return every step in which two agents of *tracks* are in contact."""
-    parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, unbroken(tracks))]
+    parts = [_touches_of(tracks, *chunk) for chunk in _candidates(tracks, unbroken_steps(tracks))]
     first, second, step, fraction = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((step, second, first))
     first, second, step = first[order], second[order], step[order]

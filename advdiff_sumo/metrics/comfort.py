@@ -15,7 +15,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, stretches
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.kinematics import snaps, unbroken
+from advdiff_sumo.metrics.kinematics import snaps, unbroken_steps
 
 #: Time over which a polynomial is fitted; at least ``_LEAST_WINDOW`` instants.
 WINDOW_S = 1.0
@@ -92,7 +92,7 @@ def derivatives(
 def _stretches(tracks: Tracks, row: int) -> list[slice]:
     """Return the stretches of instants without a break or an instantaneous lane change."""
     own = tracks.rows([row])
-    usable = unbroken(own)[0] & ~snaps(own)[0]
+    usable = unbroken_steps(own)[0] & ~snaps(own)[0]
     return [slice(a, b + 1) for a, b in stretches(usable) if b + 1 - a >= _LEAST_WINDOW]
 
 

@@ -36,7 +36,7 @@ class Extreme:
     time_s: float
 
 
-def smallest(values: FloatArray, tracks: Tracks) -> Extreme | None:
+def smallest_value(values: FloatArray, tracks: Tracks) -> Extreme | None:
     """Return the smallest finite of *values* (A, T); of equal ones the earliest, then the lowest row."""
     if not np.isfinite(values).any():
         return None

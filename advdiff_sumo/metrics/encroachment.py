@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.metrics.continuous_collision import Sweep, gaps_at
 from advdiff_sumo.metrics.criticality import Extreme
-from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.kinematics import unbroken_steps
 
 #: Paths at a smaller angle do not cross: the vehicles follow each other or are oncoming.
 CROSSING_RAD = np.deg2rad(30.0)
@@ -32,7 +32,7 @@ def post_encroachment(tracks: Tracks, target: int) -> Extreme | None:
 
     None if no path crosses the target's; 0 if both are there at the same time.
     """
-    usable = unbroken(tracks)
+    usable = unbroken_steps(tracks)
     own_step, other_step, row = _candidate_steps(tracks, target, usable)
     if not own_step.size:
         return None

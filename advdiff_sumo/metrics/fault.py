@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from advdiff_sumo.metrics.breaches.conduct_rules import reversing
+from advdiff_sumo.metrics.breaches.conduct_rules import reversing_breach
 from advdiff_sumo.metrics.breaches.junction_rules import (
     ARRIVAL_MARGIN_S,
     breach_towards_pedestrian,
@@ -92,7 +92,7 @@ def _wrong_way(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fau
 
 
 def _reversing(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
-    target_reverses, other_reverses = (reversing(view, case, i) is not None for i in (0, 1))
+    target_reverses, other_reverses = (reversing_breach(view, case, i) is not None for i in (0, 1))
     if other_reverses and not target_reverses:
         return Fault(AtFault.OTHER, f"'{case.other.name}' was reversing.")
     if target_reverses and not other_reverses:

@@ -51,7 +51,7 @@ class Following:
         return np.where(self.gap_m >= 0.0, self.gap_m, np.nan)
 
 
-def following(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:
+def following_gaps(tracks: Tracks, target: int, road: RoadMap, route: Sequence[str]) -> Following:
     """Return the gaps of *target* to the vehicles ahead in its lane and in the lanes that follow along *route*.
 
     A vehicle is in the lane that its centre and heading best fit, if its box reaches into it by more than

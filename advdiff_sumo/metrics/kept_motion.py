@@ -111,7 +111,7 @@ def with_velocity_kept(record: EpisodeRecord, row: int, since: int, count: int) 
     return _joined(tracks, row, slice(since, since + 1), after)
 
 
-def continued(record: EpisodeRecord, row: int, since: int, count: int) -> Poses:
+def continued_poses(record: EpisodeRecord, row: int, since: int, count: int) -> Poses:
     """Return poses of *row* at instant *since* and at *count* more: as recorded, then with its last speed or braking.
 
     NaN where it is absent, also after the record's end if it has left by then.

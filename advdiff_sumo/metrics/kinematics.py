@@ -12,7 +12,7 @@ from advdiff_sumo.metrics.contact import JUMP_MPS
 SNAP_MPS = 8.0
 
 
-def unbroken(tracks: Tracks) -> BoolArray:
+def unbroken_steps(tracks: Tracks) -> BoolArray:
     """Return (A, T − 1) whether the agent is present at both ends of the step and does not jump between them."""
     present = tracks.valid[:, 1:] & tracks.valid[:, :-1]
     move = np.diff(tracks.xy_m, axis=1)
@@ -36,7 +36,7 @@ def velocities(tracks: Tracks) -> FloatArray:
     Velocities from positions include lateral motion. A step with a break or an instantaneous lane change is not used.
     If neither step can be used, the velocity is the speed along the heading. NaN where the agent is absent.
     """
-    usable = unbroken(tracks) & ~snaps(tracks)
+    usable = unbroken_steps(tracks) & ~snaps(tracks)
     rate = np.where(usable[..., None], np.diff(tracks.xy_m, axis=1) / tracks.dt_s, 0.0)
     total = np.zeros_like(tracks.xy_m)
     count = np.zeros(tracks.yaw_rad.shape)

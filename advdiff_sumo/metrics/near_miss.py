@@ -32,7 +32,7 @@ from advdiff_sumo.metrics.kept_motion import (
     BRAKES_MPS2,
     Poses,
     braked_s_m,
-    continued,
+    continued_poses,
     first_contact_step,
     velocity_mps,
     with_speed_kept,
@@ -241,7 +241,7 @@ def _resolved_by(record: EpisodeRecord, row: int, step: int) -> ResolvedBy | Non
     count = round(_AFTER_S / record.tracks.dt_s)
     rows = record.target, row
     sizes = record.tracks.size_m[list(rows)]
-    actual = [continued(record, x, step, count) for x in rows]
+    actual = [continued_poses(record, x, step, count) for x in rows]
     if first_contact_step(actual[0], actual[1], *sizes) is not None:
         return None
     for unchanged in (

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.record import EndReason, EpisodeRecord
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.metrics.kinematics import unbroken
+from advdiff_sumo.metrics.kinematics import unbroken_steps
 from advdiff_sumo.metrics.placement import placement_of
 
 #: The position on the route is determined at this interval.
@@ -119,7 +119,7 @@ def _driven_m(record: EpisodeRecord) -> FloatArray:
     """Return (T,) metres driven by the target since the start."""
     tracks = record.tracks.rows([record.target])
     steps = np.hypot(*np.diff(tracks.xy_m[0], axis=0).T)
-    return np.concatenate(([0.0], np.cumsum(np.where(unbroken(tracks)[0], steps, 0.0))))
+    return np.concatenate(([0.0], np.cumsum(np.where(unbroken_steps(tracks)[0], steps, 0.0))))
 
 
 def _along_edge(road: RoadMap, edge_id: str, lane_id: str, s_m: float) -> float:

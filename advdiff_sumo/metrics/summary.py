@@ -20,10 +20,16 @@ from advdiff_sumo.metrics.breaches.offences import OFFENCE_KINDS, offences
 from advdiff_sumo.metrics.collision import Collision, collisions, find_touches, target_collision
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.comfort import Comfort, comfort
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, Extreme, clearances, smallest, time_to_collision
+from advdiff_sumo.metrics.criticality import (
+    TTC_HORIZON_S,
+    Extreme,
+    clearances,
+    smallest_value,
+    time_to_collision,
+)
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.fault import Fault
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.metrics.near_miss import NearMiss, near_miss
 from advdiff_sumo.metrics.offroad import (
     BackgroundOffRoad,
@@ -184,15 +190,15 @@ def _criticality(
     record: EpisodeRecord, road: RoadMap, before: Tracks, struck: Collision | None
 ) -> Criticality:
     target = record.target
-    ahead = following(before, target, road, record.route)
+    ahead = following_gaps(before, target, road, record.route)
     lane_ttc = ahead.time_to_collision()
     drac = ahead.deceleration_to_avoid()
-    clearance = smallest(clearances(before, target), before)
+    clearance = smallest_value(clearances(before, target), before)
     if struck is not None:
         clearance = Extreme(0.0, struck.rows[1], struck.time_s)
     return Criticality(
-        ttc=smallest(time_to_collision(before, target), before),
-        lane_ttc=smallest(np.where(lane_ttc <= TTC_HORIZON_S, lane_ttc, np.inf), before),
+        ttc=smallest_value(time_to_collision(before, target), before),
+        lane_ttc=smallest_value(np.where(lane_ttc <= TTC_HORIZON_S, lane_ttc, np.inf), before),
         pet=post_encroachment(before, target),
         drac_mps2=None if np.isnan(drac).all() else float(np.nanmax(drac)),
         clearance=clearance,

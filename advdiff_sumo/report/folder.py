@@ -14,7 +14,7 @@ import pyarrow as pa
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
 from advdiff_sumo.data.run_tables import RUN_PARTS, RunTables
-from advdiff_sumo.metrics.arrow_tables import upgraded
+from advdiff_sumo.metrics.arrow_tables import upgraded_table
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 
@@ -210,5 +210,5 @@ def _table_rows(
     """
     present = tables.columns(name, [column for column in columns if column not in LATER_COLUMNS])
     read_columns = [column for column in (*columns, *optional) if column in present]
-    rows: list[dict[str, Any]] = upgraded(tables.rows(name, read_columns), columns).to_pylist()
+    rows: list[dict[str, Any]] = upgraded_table(tables.rows(name, read_columns), columns).to_pylist()
     return rows

@@ -91,7 +91,7 @@ class ReferenceEpisodes:
             number = self._episodes.get((_scene_and_target(row), background))
             if number is not None and background != row["background"]:
                 states = self._run.states(number)
-                return None if states is None else thinned(states.tracks)
+                return None if states is None else thinned_tracks(states.tracks)
         return None
 
 
@@ -99,6 +99,6 @@ def _scene_and_target(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(row["scene_key"]), str(row["target"]), str(row["target_options"])
 
 
-def thinned(tracks: Tracks) -> Tracks:
+def thinned_tracks(tracks: Tracks) -> Tracks:
     """Return every n-th instant, so that instants are about 0.5 s apart."""
     return tracks.every(max(1, round(0.5 / tracks.dt_s)))

@@ -12,7 +12,7 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, time_to_collision
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.reference_episodes import NATURAL, ReferenceEpisodes, thinned
+from advdiff_sumo.report.reference_episodes import NATURAL, ReferenceEpisodes, thinned_tracks
 
 #: Number of episodes used for each background, evenly spaced over all of them.
 MOST_EPISODES = 150
@@ -51,7 +51,7 @@ class Samples:
 
 def samples_of(tracks: Tracks, target: int) -> Samples:
     """Return the samples of one episode or drive; *target* is the row of the tested vehicle."""
-    thin = thinned(tracks)
+    thin = thinned_tracks(tracks)
     speed = thin.speed_mps
     is_moving = np.nanmax(np.where(thin.valid, speed, -np.inf), axis=1, initial=-np.inf) > _MOVING_MPS
     is_moving &= thin.classes != AgentClass.PEDESTRIAN

@@ -22,7 +22,7 @@ from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.scene_picture import picture_of
-from advdiff_sumo.report.select import attacker_of, pictured
+from advdiff_sumo.report.select import attacker_of, pictured_episodes
 from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import svg_picture
 from advdiff_sumo.report.templates import further_offences, number, templates, title, words
@@ -96,9 +96,9 @@ class Sections:
 
     def make(self, ordered: Sequence[Row]) -> Iterator[Section]:
         """Yield the sections of *ordered* episodes, worst first; empty ones once the limits are reached."""
-        pictured_episodes = {int(row["episode"]) for row in pictured(ordered)}
+        pictured = {int(row["episode"]) for row in pictured_episodes(ordered)}
         for row in ordered:
-            gets_picture = int(row["episode"]) in pictured_episodes
+            gets_picture = int(row["episode"]) in pictured
             if self._played.full and (self._pictures.full or not gets_picture):
                 yield Section(int(row["episode"]), str(row["net"]), left_out=gets_picture)
             else:

@@ -15,7 +15,7 @@ def is_eventful(row: Row) -> bool:
     return bool(row["target_collision"]) or is_failure(row)
 
 
-def pictured(ordered: Iterable[Row]) -> list[Row]:
+def pictured_episodes(ordered: Iterable[Row]) -> list[Row]:
     """Return the episodes that get a picture, in order: all eventful ones, and the first of the others."""
     selected, uneventful = [], 0
     for row in ordered:

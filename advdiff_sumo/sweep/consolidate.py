@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from advdiff_sumo.data.run_tables import RunTables
-from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded
+from advdiff_sumo.metrics.arrow_tables import schema_of, table_of, upgraded_table
 from advdiff_sumo.metrics.columns import Column
 from advdiff_sumo.sweep.fingerprint import digest
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
@@ -130,4 +130,4 @@ def _with_leading(table: pa.Table, leading: Mapping[str, Any], columns: Mapping[
     result = pa.table(arrays, names=list(leading))
     for name in table.column_names:
         result = result.append_column(name, table[name])
-    return upgraded(result, columns).select(schema.names).cast(schema)
+    return upgraded_table(result, columns).select(schema.names).cast(schema)

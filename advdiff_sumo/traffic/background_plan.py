@@ -21,7 +21,14 @@ from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT, LicenceName
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import UNRESTRICTED, LicensedAttack, licensed_attack
 from advdiff_sumo.traffic.planning.drawn import Drawn
-from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures, coasting, futures_of, join
+from advdiff_sumo.traffic.planning.futures import (
+    STANDS_MPS,
+    WALKS_MPS,
+    Futures,
+    constant_velocity_futures,
+    futures_of,
+    join,
+)
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
 from advdiff_sumo.traffic.planning.safeguard import (
@@ -76,7 +83,7 @@ class PlausiblePlan:
     attackers: tuple[str, ...]
 
 
-def outlook(
+def view_and_lanes(
     road: RoadMap, scene: Scene, map_view: MapView = "near"
 ) -> tuple[View, dict[int, LaneAhead | None]]:
     """Return the networks' view of *scene* and, by row, the lanes that each movable vehicle would follow.
@@ -207,7 +214,7 @@ def apply_safeguard(
     now = scene.history
     joined = join(
         futures,
-        coasting(
+        constant_velocity_futures(
             now.xy_m[outside, -1],
             now.yaw_rad[outside, -1],
             now.speed_mps[outside, -1],

@@ -34,7 +34,7 @@ class Displacement:
         return masked_sum(self.fde_m, self.mask)
 
 
-def driving(batch: SceneBatch) -> Tensor:
+def driving_mask(batch: SceneBatch) -> Tensor:
     """Return (B, A) vehicles that are not parked and have a known future instant."""
     return batch.moved & ~batch.parked & batch.future_valid.any(-1)
 
@@ -47,10 +47,10 @@ def displacement(rollout: Rollout, batch: SceneBatch) -> Displacement:
     ade = distance.sum(-1) / known.sum(-1).clamp(min=1)
     steps = torch.arange(known.shape[-1], device=known.device)
     last = torch.where(known, steps, 0).amax(-1, keepdim=True)
-    return Displacement(ade, distance.gather(-1, last).squeeze(-1), driving(batch))
+    return Displacement(ade, distance.gather(-1, last).squeeze(-1), driving_mask(batch))
 
 
-def logged(batch: SceneBatch) -> Rollout:
+def logged_rollout(batch: SceneBatch) -> Rollout:
     """Return the recorded future as a rollout; unknown instants are 0."""
     future, nothing = batch.future, torch.zeros_like(batch.future[..., 0])
     return Rollout(future[..., :2], future[..., 2], future[..., 3], nothing, nothing)

@@ -21,7 +21,7 @@ from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.baselines import constant_velocity, lane_following
 from advdiff_sumo.training.dataset import WindowSet, batches
-from advdiff_sumo.training.displacement import driving, logged, masked_sum
+from advdiff_sumo.training.displacement import driving_mask, logged_rollout, masked_sum
 from advdiff_sumo.training.driving_penalties import travelled_m
 from advdiff_sumo.training.open_loop import Draw, JudgedWindows, by_diffusion, from_prior, judge
 from advdiff_sumo.training.stage import Tally, add, means
@@ -120,7 +120,7 @@ def evaluate_bundle(
     for number, rows in enumerate(batches(few, judging.batch_size)):
         batch = few.batch(rows).to(device)
         context = bundle.traffic.encoder(batch)
-        log = logged(batch)
+        log = logged_rollout(batch)
         sums["log"].count(judge(log, batch, 1, batch.future_valid), _standing(log, batch))
         for name, draw in ways.items():
             node = SeedTree(judging.seed, ("evaluation", name, str(number)))
@@ -165,7 +165,7 @@ def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None
 
 
 def _standing(rollout: Rollout, batch: SceneBatch) -> Tensor:
-    return (travelled_m(rollout, batch) < _STANDS_M) & driving(batch)
+    return (travelled_m(rollout, batch) < _STANDS_M) & driving_mask(batch)
 
 
 def _figures(one: _Sums, log: _Sums) -> Figures:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from advdiff_sumo.diffusion.attack import OTHERS_WEIGHT, PRIOR_WEIGHT, ROAD_WEIGHT, prior_distance
-from advdiff_sumo.diffusion.attack_costs import nearest
+from advdiff_sumo.diffusion.attack_costs import smooth_minimum
 from advdiff_sumo.diffusion.guides import direction
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
@@ -84,7 +84,7 @@ def agreement_of(
 def approach(path: Rollout, batch: SceneBatch, target: Tensor) -> tuple[Tensor, Tensor]:
     """Return the attackers' loss without the prior's term (B,), and which vehicles come near enough to count (B, A)."""
     gap = target_gap(path, batch, target)
-    least = nearest(gap)
+    least = smooth_minimum(gap)
     near = background(batch, target) & (least.detach() < _FAR_M)
     cost = torch.where(near, least, 0.0).sum(1)
     cost = cost + OTHERS_WEIGHT * among_background(path, batch, target).sum(-1)

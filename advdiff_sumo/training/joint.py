@@ -27,7 +27,7 @@ from advdiff_sumo.training.denoiser_stage import (
     random_steps,
     schedule_of,
 )
-from advdiff_sumo.training.displacement import logged
+from advdiff_sumo.training.displacement import logged_rollout
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
@@ -182,7 +182,7 @@ def road_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
     In logs, vehicles may leave the drivable area, for example into parking places; this is not penalised.
     """
     over = off_road(rollout, batch)
-    truth = off_road(logged(batch), batch)
+    truth = off_road(logged_rollout(batch), batch)
     known = batch.future_valid & batch.moved[..., None]
     extra = torch.where(known, (over - truth).clamp(min=0.0), 0.0)
     return masked_mean(extra.sum(-1), batch.moved & ~batch.parked)

@@ -16,7 +16,7 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
 from advdiff_sumo.training.denoiser_stage import diffused
-from advdiff_sumo.training.displacement import displacement, driving
+from advdiff_sumo.training.displacement import displacement, driving_mask
 
 Draw = Callable[[SceneBatch, Context, int, torch.Generator], tuple[Rollout, int]]
 """Windows, their contexts, samples, random numbers → sampled futures, and how many there are of each window."""
@@ -114,7 +114,7 @@ def judge(rollout: Rollout, several: SceneBatch, times: int, known: Tensor | Non
         ade_m=errors.ade_m.reshape(shape),
         fde_m=errors.fde_m.reshape(shape),
         spread_m=realism.final_diversity(_last(rollout.xy, several).reshape(*shape, 2)),
-        driving=driving(several).reshape(shape)[:, 0],
+        driving=driving_mask(several).reshape(shape)[:, 0],
         hit=realism.colliding(rollout, several, known).reshape(shape),
         off_road=realism.leaving_road(rollout, several, known).reshape(shape),
         speed=speed,

@@ -12,7 +12,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.losses import masked_mean
 from advdiff_sumo.training import realism
-from advdiff_sumo.training.displacement import driving, logged
+from advdiff_sumo.training.displacement import driving_mask, logged_rollout
 from advdiff_sumo.training.driving_penalties import following_penalty, lane_distance, travelled_m
 from advdiff_sumo.training.presets import DecoderOptions
 from advdiff_sumo.training.stage import Tally
@@ -37,7 +37,7 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
     """Return the weighted penalties of sampled futures *free*, by name."""
     who = batch.moved & ~batch.parked
     how = RefinementOptions(vehicles=options.vehicles, road=options.road)
-    way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged(batch)))
+    way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged_rollout(batch)))
     ratio = way / truth.clamp(min=1.0)
     return {
         "overlap_penalty": masked_mean(overlap_penalty(free, batch, how), who),
@@ -50,6 +50,6 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
 @torch.no_grad()
 def faults(free: Rollout, batch: SceneBatch) -> Tally:
     """Return the collisions, road departures and driven distances of sampled futures."""
-    there, who = batch.present[..., None].expand(free.yaw.shape), driving(batch)
-    driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged(batch)))
+    there, who = batch.present[..., None].expand(free.yaw.shape), driving_mask(batch)
+    driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged_rollout(batch)))
     return realism.faults(free, batch, there) | {"travelled": (driven, truth)}

@@ -11,7 +11,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.losses import edge_clearance
 from advdiff_sumo.models.model_options import MODEL_STEP_S
-from advdiff_sumo.training.displacement import driving
+from advdiff_sumo.training.displacement import driving_mask
 from advdiff_sumo.training.stage import Tally
 
 SPEED_BINS = np.arange(0.0, 40.5, 0.5)
@@ -30,7 +30,7 @@ def histograms(
         batch: the windows, repeated in the same way.
         times: samples of each window.
     """
-    driven = driving(batch)[..., None]
+    driven = driving_mask(batch)[..., None]
     before = torch.cat((batch.pose[..., 3:4], rollout.speed[..., :-1]), dim=-1)
     accel = (rollout.speed - before) / MODEL_STEP_S
     known, changes = driven & batch.future_valid, driven & known_steps(batch)
@@ -56,7 +56,7 @@ def final_diversity(last: Tensor) -> Tensor:
 
 def faults(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tally:
     """Return tallies of driving vehicles that collide or leave the road at instants *known* (B, A, T)."""
-    total = float(driving(batch).sum())
+    total = float(driving_mask(batch).sum())
     return {
         "collision_rate": (float(colliding(rollout, batch, known).sum()), total),
         "off_road_rate": (float(leaving_road(rollout, batch, known).sum()), total),
@@ -75,14 +75,14 @@ def colliding(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:
     pose = batch.pose[:, :, None]
     now = _overlap(pose[..., :2], pose[..., 2], batch.size).squeeze(-1)
     other = ~torch.eye(batch.agents, dtype=torch.bool, device=known.device)
-    return (touch.any(-1) & ~now & other).any(-1) & driving(batch)
+    return (touch.any(-1) & ~now & other).any(-1) & driving_mask(batch)
 
 
 def leaving_road(rollout: Rollout, batch: SceneBatch, known: Tensor) -> Tensor:
     """Return (B, A) driving vehicles whose centre is on the road now and beyond its edge at some known instant."""
     now = edge_clearance(batch.pose[:, :, None, :2], batch).squeeze(-1) > 0.0
     off = (edge_clearance(rollout.xy, batch) < 0.0) & known
-    return off.any(-1) & now & driving(batch)
+    return off.any(-1) & now & driving_mask(batch)
 
 
 def _overlap(xy: Tensor, yaw: Tensor, size: Tensor) -> Tensor:

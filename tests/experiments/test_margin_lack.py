@@ -7,7 +7,7 @@ import pytest
 
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.margin_lack import lacking
+from advdiff_sumo.experiments.margin_lack import lack_text
 
 LONG = {"end": "horizon", "duration_s": 10.0}
 
@@ -53,16 +53,18 @@ def states(speed_mps: float, *others: tuple[float, float, float]) -> EpisodeStat
     ],
 )
 def test_by_hand(attack: str, episode: EpisodeStates, told: str) -> None:
-    assert lacking(attack, LONG, episode) == told
+    assert lack_text(attack, LONG, episode) == told
 
 
 @pytest.mark.parametrize(("end", "why"), [("horizon", "--horizon"), ("arrived", "arrived")])
 def test_a_short_episode(end: str, why: str) -> None:
     row = {"end": end, "duration_s": 2.0}
-    assert lacking("crossing", row, states(9.0)) == f"the episode lasted 2.0 s ({why})"
+    assert lack_text("crossing", row, states(9.0)) == f"the episode lasted 2.0 s ({why})"
 
 
 def test_an_episode_that_may_be_too_short_is_told_where_nothing_else_lacked() -> None:
     row = {"end": "horizon", "duration_s": 8.0}
-    assert lacking("hard-stop", row, states(9.0, (30.0, 0.5, 6.0))) == "the episode lasted 8.0 s (--horizon)"
-    assert lacking("crossing", row, states(0.2)) == "the target stood"
+    assert (
+        lack_text("hard-stop", row, states(9.0, (30.0, 0.5, 6.0))) == "the episode lasted 8.0 s (--horizon)"
+    )
+    assert lack_text("crossing", row, states(0.2)) == "the target stood"

@@ -20,7 +20,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import convert_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from tests.export.drives import STEPS, junction_traffic
 from tests.export.outside import CommonRoadReader, netconverted, played, quality, same_obstacles, states_of
 
@@ -79,7 +79,7 @@ def test_commonroad_reads_everybody_and_agrees_on_ttc(place: Place, commonroad: 
     assert found["lanelets"] == len(lanes)
     assert found["links"] == len(scene.joints(lanes)) > 0
     ours = time_to_collision(scene.tracks, scene.target)[0, steps]
-    lane = following(scene.tracks, scene.target, scene.road, ()).time_to_collision()[0, steps]
+    lane = following_gaps(scene.tracks, scene.target, scene.road, ()).time_to_collision()[0, steps]
     assert ours == pytest.approx([20.4 / 8.0 - 0.1 * step for step in steps], abs=1e-3)
     assert lane == pytest.approx(ours, abs=1e-3)
     assert found["ttc"] == pytest.approx(ours, abs=0.01)

@@ -24,7 +24,7 @@ from advdiff_sumo.data.pickles import load_plain
 from advdiff_sumo.export import ExportScene, make_exporter
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.metrics.criticality import time_to_collision
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.sim.logs import LoggedTraffic
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from tests.export.outside import CommonRoadReader, netconverted, played, quality, same_obstacles, states_of
@@ -72,7 +72,7 @@ def test_commonroad_crime_agrees_on_ttc(
     steps = (0, 5, 10, 20)
     found = commonroad(make_exporter("commonroad").write(plain, tmp_path)[0], *steps)
     ours = time_to_collision(plain.tracks, plain.target)[0, list(steps)]
-    lane = following(plain.tracks, plain.target, plain.road, ()).time_to_collision()[0, list(steps)]
+    lane = following_gaps(plain.tracks, plain.target, plain.road, ()).time_to_collision()[0, list(steps)]
     assert ours == pytest.approx([3.125 - 0.1 * step for step in steps])
     assert lane == pytest.approx(ours)
     assert found["ttc"] == pytest.approx(ours, abs=0.01)

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, smallest, time_to_collision
+from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, smallest_value, time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.metrics.kinematics import snaps, velocities
 from advdiff_sumo.metrics.metric_rows import episode_row
 from tests.sim import nets
@@ -94,7 +94,7 @@ def test_ttc_of_crossing_and_missing_boxes(straight, record_of) -> None:
 
 def test_lane_ttc_and_drac_by_the_formula(straight, record_of, road) -> None:
     record = record_of(straight("ego", (-100, -1.6), 0, 15), straight("lead", (-80, -1.6), 0, 10))
-    ahead = following(record.tracks, 0, road, record.route)
+    ahead = following_gaps(record.tracks, 0, road, record.route)
     assert ahead.gap_m[1, 0] == pytest.approx(16.0)
     assert ahead.time_to_collision()[1, 0] == pytest.approx(3.2)
     assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(25.0 / 32.0)
@@ -109,10 +109,10 @@ def test_leader_beyond_the_junction_counts_and_the_next_lane_does_not(straight, 
         straight("behind", (-60, -1.6), 0, 10, steps=2),
         straight("oncoming", (-20, 1.6), math.pi, 10, steps=2),
     )
-    gap = following(record.tracks, 0, road, record.route).gap_m
+    gap = following_gaps(record.tracks, 0, road, record.route).gap_m
     assert gap[1, 0] == pytest.approx(66.0, abs=0.01)
     assert np.isnan(gap[2:]).all()
-    assert np.isinf(following(record.tracks, 0, road, ("WC", "CE")).time_to_collision()[1, 0])
+    assert np.isinf(following_gaps(record.tracks, 0, road, ("WC", "CE")).time_to_collision()[1, 0])
 
 
 def test_a_vehicle_standing_beside_the_lane_is_not_ahead_in_it(straight, record_of, road) -> None:
@@ -125,7 +125,7 @@ def test_a_vehicle_standing_beside_the_lane_is_not_ahead_in_it(straight, record_
             "askew", (-100, -7.2), 0.3, 0, steps=2
         ),  # half 4 sin 0.3 + half 2 cos 0.3 = 1.55: up to -5.65
     )
-    gap = following(record.tracks, 0, road, record.route).gap_m
+    gap = following_gaps(record.tracks, 0, road, record.route).gap_m
     assert np.isnan(gap[1:3]).all()
     assert gap[3, 0] == pytest.approx(46.0)
 
@@ -133,7 +133,7 @@ def test_a_vehicle_standing_beside_the_lane_is_not_ahead_in_it(straight, record_
 def test_an_oncoming_vehicle_in_the_lane_closes_in_at_the_sum_of_speeds(straight, record_of, road) -> None:
     """It counts as approaching, not as a leader of the same speed."""
     ego, wrong = straight("ego", (-150, -4.8), 0, 12), straight("wrong", (-98, -4.8), math.pi, 8)
-    ahead = following(record_of(ego, wrong).tracks, 0, road, ("WC", "CE"))
+    ahead = following_gaps(record_of(ego, wrong).tracks, 0, road, ("WC", "CE"))
     assert ahead.closing_mps[1, 0] == pytest.approx(20.0)
     assert ahead.time_to_collision()[1, 0] == pytest.approx(2.4)  # 52 - 4 = 48 m at 20 m/s
     assert ahead.deceleration_to_avoid()[1, 0] == pytest.approx(400.0 / 96.0)
@@ -146,7 +146,7 @@ def test_a_vehicle_passed_within_the_lane_is_ahead_until_the_bumpers_are_level(
     car = straight("ego", (-150, -2.2), 0, 12, size=(4.0, 1.8))  # from y = -3.1 to -1.3
     slow = straight("motorcycle", (-140, -0.5), 0, 8, size=(2.0, 0.8))  # up from y = -0.9
     record = record_of(car, slow)
-    ahead = following(record.tracks, 0, road, record.route)
+    ahead = following_gaps(record.tracks, 0, road, record.route)
     seconds, drac = ahead.time_to_collision()[1], ahead.deceleration_to_avoid()[1]
     assert seconds[:18] == pytest.approx((7.0 - 0.4 * np.arange(18)) / 4.0)  # 7 m at first, 0.2 m at 1.7 s
     assert drac[17] == pytest.approx(16.0 / 0.4)
@@ -201,7 +201,7 @@ def test_clearance_of_a_pass(straight, record_of) -> None:
     record = record_of(
         straight("ego", (0, 0), 0, 10), straight("parked", (20, 2.5), 0, 0), straight("far", (20, 40), 0, 0)
     )
-    nearest = smallest(clearances(record.tracks, 0), record.tracks)
+    nearest = smallest_value(clearances(record.tracks, 0), record.tracks)
     assert nearest is not None
     assert nearest.value == pytest.approx(0.5)
     assert (nearest.row, nearest.time_s) == (1, pytest.approx(1.6))  # bumpers level: 20 - 4 = 16 m

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from advdiff_sumo.core.record import EndReason, Failure
-from advdiff_sumo.metrics.arrow_tables import schema_of, upgraded
+from advdiff_sumo.metrics.arrow_tables import schema_of, upgraded_table
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
 from advdiff_sumo.metrics.metric_rows import collision_rows, episode_row
 from advdiff_sumo.metrics.progress import progress
@@ -162,4 +162,4 @@ def test_columns_missing_in_earlier_versions_are_unknown(columns: dict[str, Colu
     assert unknown <= LATER_COLUMNS
     whole = schema_of(columns).empty_table()
     earlier = whole.drop_columns([name for name in columns if name in LATER_COLUMNS])
-    assert set(upgraded(earlier, columns).column_names) == set(columns)
+    assert set(upgraded_table(earlier, columns).column_names) == set(columns)

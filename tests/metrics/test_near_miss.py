@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.metrics.collision import collisions
-from advdiff_sumo.metrics.criticality import smallest, time_to_collision
+from advdiff_sumo.metrics.criticality import smallest_value, time_to_collision
 from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolution_clause
 from tests.metrics.encounters import DT_S, Car, braking, driven, record_of, straight
 
@@ -136,7 +136,7 @@ def test_the_hardest_braking_counts_not_the_least_time(road) -> None:
     lead = driven("lead", (-146 + 14.4, -1.6), 0, braking(12, 0.5, 8.0, 61))
     oncoming = bend("oncoming", (-128, 3.6), np.pi + 0.35, 8.0, -30.0, 61)
     record = record_of(ego, lead, oncoming)
-    nearest = smallest(time_to_collision(record.tracks, 0), record.tracks)
+    nearest = smallest_value(time_to_collision(record.tracks, 0), record.tracks)
     found = near_miss(record, road)
     assert nearest is not None
     assert found is not None

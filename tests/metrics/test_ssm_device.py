@@ -18,7 +18,7 @@ from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.encroachment import post_encroachment
-from advdiff_sumo.metrics.following import following
+from advdiff_sumo.metrics.following import following_gaps
 from tests.sim import nets
 
 DT_S = 0.1
@@ -124,7 +124,7 @@ def test_following(speeds: Mapping[str, FloatArray], plane_s: float, tmp_path: P
     drive.run(STREET, speeds)
     theirs, drac = drive.theirs("TTC"), drive.theirs("DRAC")
     assert np.isfinite(theirs).sum() == np.isfinite(drac).sum() == STEPS
-    ours = following(drive.tracks, 0, drive.road, ("WM", "ME"))
+    ours = following_gaps(drive.tracks, 0, drive.road, ("WM", "ME"))
     assert ours.time_to_collision()[1] == pytest.approx(theirs, abs=LANE_TTC_S)
     assert ours.deceleration_to_avoid()[1] == pytest.approx(drac, abs=DRAC_MPS2)
     boxes = time_to_collision(drive.tracks, 0)[1]

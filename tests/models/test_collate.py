@@ -17,7 +17,7 @@ from advdiff_sumo.models import model_options, road_edges
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate, mirrored, scene_batch
 from advdiff_sumo.models.losses import off_road
-from advdiff_sumo.training.displacement import logged
+from advdiff_sumo.training.displacement import logged_rollout
 from tests.models.conftest import WindowMaker
 
 NORTH = math.pi / 2
@@ -277,7 +277,7 @@ def test_a_mirrored_scene_is_the_same_scene_with_left_and_right_exchanged(window
     )
     turn = batch.map_features[..., Feature.TURN]
     torch.testing.assert_close(other.map_features[0, ..., Feature.TURN], -turn[0])
-    torch.testing.assert_close(off_road(logged(other), other), off_road(logged(batch), batch))
+    torch.testing.assert_close(off_road(logged_rollout(other), other), off_road(logged_rollout(batch), batch))
     again = mirrored(other, which)
     torch.testing.assert_close(again.map_xy, batch.map_xy)
     torch.testing.assert_close(again.map_features, batch.map_features)

@@ -26,7 +26,7 @@ from advdiff_sumo.report.encode import (
 from advdiff_sumo.report.layer import MapLayer
 from advdiff_sumo.report.nets import RoadMap
 from advdiff_sumo.report.plans import Planned, packed_plans
-from advdiff_sumo.report.reference_episodes import thinned
+from advdiff_sumo.report.reference_episodes import thinned_tracks
 from advdiff_sumo.report.series import series_of
 
 
@@ -111,7 +111,7 @@ def test_only_those_who_depart_have_a_ghost_and_the_target() -> None:
     other[2, 10:, 1] += 0.4
     natural = _tracks(other[..., 1])
     assert deviating_tracks(EpisodeStates(driven, 0), natural).ids == ("a", "b")
-    half = thinned(natural)  # 0, 0.5, … 2.0 s
+    half = thinned_tracks(natural)  # 0, 0.5, … 2.0 s
     between = deviating_tracks(EpisodeStates(driven.window(0, 8), 0), half)
     assert between.times_s == pytest.approx([0.0, 0.5, 1.0])  # it ends at 0.7 s
     assert between.ids == ("a",)  # "b" departs later

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from advdiff_sumo.metrics.severity import badge, worst_first
-from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured
+from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured_episodes
 
 
 def _numbers(episodes: list[Any]) -> list[int]:
@@ -37,7 +37,7 @@ def test_equal_episodes_keep_their_numbers_order(rows: Any) -> None:
 def test_all_eventful_and_some_others_get_a_picture(rows: Any) -> None:
     quiet = [rows.episode(k) for k in range(UNEVENTFUL_SHOWN + 5)]
     loud = [rows.struck(100 + k) for k in range(40)] + [rows.episode(200, end="failed")]
-    chosen = _numbers(pictured(worst_first(quiet + loud)))
+    chosen = _numbers(pictured_episodes(worst_first(quiet + loud)))
     assert set(chosen) == {*range(100, 140), 200, *range(UNEVENTFUL_SHOWN)}
 
 

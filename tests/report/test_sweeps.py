@@ -17,7 +17,7 @@ from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.matrix import matrix_of
 from advdiff_sumo.report.nets import place_name, place_names
 from advdiff_sumo.report.page import write_report
-from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned
+from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned_tracks
 from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
 from advdiff_sumo.sweep.spec import SweepSpec
 
@@ -198,7 +198,7 @@ def test_a_median_of_nothing_has_no_sign() -> None:
 def test_thinned_keeps_half_seconds(run: FinishedRun) -> None:
     states = run.states(0)
     assert states is not None
-    assert thinned(states.tracks).times_s == pytest.approx(0.5 * np.arange(7))
+    assert thinned_tracks(states.tracks).times_s == pytest.approx(0.5 * np.arange(7))
 
 
 def test_page_of_a_sweep(sweep_folder: Path) -> None:

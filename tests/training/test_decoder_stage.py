@@ -12,7 +12,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training.decoder_stage import DecoderStage
-from advdiff_sumo.training.displacement import logged
+from advdiff_sumo.training.displacement import logged_rollout
 from advdiff_sumo.training.driving_penalties import following_penalty, lane_distance, travelled_m
 from advdiff_sumo.training.presets import DecoderOptions
 from advdiff_sumo.training.setup import with_closed_loop
@@ -143,4 +143,4 @@ def test_half_precision_is_for_products_alone(bundle: Bundle, batch: SceneBatch)
 def test_the_log_has_driven_its_own_way(bundle: Bundle, batch: SceneBatch) -> None:
     tally = stage_of(bundle).evaluate(batch, moment().generator)
     who = batch.moved & ~batch.parked & batch.future_valid.any(-1)
-    assert tally["travelled"][1] == pytest.approx(float(travelled_m(logged(batch), batch)[who].sum()))
+    assert tally["travelled"][1] == pytest.approx(float(travelled_m(logged_rollout(batch), batch)[who].sum()))

@@ -16,7 +16,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training.dataset import read_window_set
-from advdiff_sumo.training.displacement import logged
+from advdiff_sumo.training.displacement import logged_rollout
 from advdiff_sumo.training.evaluation import EvaluationSettings, evaluate_bundle
 from advdiff_sumo.training.realism import _overlap as overlap
 from advdiff_sumo.training.realism import (
@@ -67,12 +67,12 @@ def test_boxes_overlap_as_in_core(seed: int) -> None:
 
 def test_the_log_of_a_free_road_has_neither_collisions_nor_departures(batch: SceneBatch) -> None:
     apart = replace(batch, size=batch.size * 0.01)
-    assert not colliding(logged(apart), apart, apart.future_valid).any()
-    assert not leaving_road(logged(batch), batch, batch.future_valid).any()
+    assert not colliding(logged_rollout(apart), apart, apart.future_valid).any()
+    assert not leaving_road(logged_rollout(batch), batch, batch.future_valid).any()
 
 
 def test_a_car_that_leaves_the_road_is_found(batch: SceneBatch) -> None:
-    true = logged(batch)
+    true = logged_rollout(batch)
     aside = true.xy.clone()
     aside[:, 0, 5, 1] += 30.0
     gone = Rollout(aside, true.yaw, true.speed, true.accel, true.curvature)
@@ -83,7 +83,7 @@ def test_a_car_that_leaves_the_road_is_found(batch: SceneBatch) -> None:
 
 def test_a_car_put_onto_another_one_collides_but_not_where_nobody_is(batch: SceneBatch) -> None:
     batch = replace(batch, size=torch.full_like(batch.size, 0.5))
-    true = logged(batch)
+    true = logged_rollout(batch)
     onto = true.xy.clone()
     onto[:, 0, 3] = onto[:, 1, 3]
     hit = Rollout(onto, true.yaw, true.speed, true.accel, true.curvature)
@@ -96,7 +96,7 @@ def test_a_car_put_onto_another_one_collides_but_not_where_nobody_is(batch: Scen
 
 
 def test_histograms_count_known_instants_of_driving_vehicles(batch: SceneBatch) -> None:
-    speed, accel = histograms(logged(batch), batch)
+    speed, accel = histograms(logged_rollout(batch), batch)
     driving = int((batch.present & ~batch.parked).sum())
     assert speed.sum() == accel.sum() == driving * 12
 
@@ -106,11 +106,11 @@ def test_next_to_an_instant_that_is_not_known_no_acceleration_is(batch: SceneBat
     known = batch.future_valid.clone()
     known[:, :, 5] = False
     gap = replace(batch, future_valid=known, future=torch.where(known[..., None], batch.future, 0.0))
-    speed, accel = histograms(logged(gap), gap)
+    speed, accel = histograms(logged_rollout(gap), gap)
     driving = int((batch.present & ~batch.parked).sum())
     assert speed.sum() == driving * 11
     assert accel.sum() == driving * 10
-    whole = histograms(logged(batch), batch)[1]
+    whole = histograms(logged_rollout(batch), batch)[1]
     assert (accel <= whole).all()
 
 

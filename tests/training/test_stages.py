@@ -21,7 +21,7 @@ from advdiff_sumo.training.denoiser_stage import (
     schedule_of,
     spread_steps,
 )
-from advdiff_sumo.training.displacement import displacement, logged
+from advdiff_sumo.training.displacement import displacement, logged_rollout
 from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Stage, add, means
@@ -192,13 +192,13 @@ def test_an_untrained_denoiser_has_a_loss_of_one(bundle: Bundle, batch: SceneBat
 
 
 def test_the_log_itself_has_no_displacement_and_stays_on_the_road(batch: SceneBatch) -> None:
-    found = displacement(logged(batch), batch)
+    found = displacement(logged_rollout(batch), batch)
     assert found.ade_sum() == (0.0, float((batch.present & ~batch.parked).sum()))
-    assert float(road_penalty(logged(batch), batch)) == 0.0
+    assert float(road_penalty(logged_rollout(batch), batch)) == 0.0
 
 
 def test_displacements_are_over_known_instants_of_vehicles_that_are_not_parked(batch: SceneBatch) -> None:
-    true = logged(batch)
+    true = logged_rollout(batch)
     ahead = Rollout(true.xy + torch.tensor([3.0, 4.0]), true.yaw, true.speed, true.accel, true.curvature)
     valid = batch.future_valid.clone()
     valid[:, :, 6:] = False
@@ -209,7 +209,7 @@ def test_displacements_are_over_known_instants_of_vehicles_that_are_not_parked(b
 
 
 def test_cars_inside_each_other_and_beside_the_road_cost(batch: SceneBatch) -> None:
-    true = logged(batch)
+    true = logged_rollout(batch)
     place = batch.pose[:, :1, None, :2].expand_as(true.xy)
     heap = Rollout(place, true.yaw, true.speed, true.accel, true.curvature)
     assert float(vehicle_penalty(heap, batch)) > 10.0

@@ -135,7 +135,7 @@ def open_bench(path: Path, request: Request) -> Folder:
         FileError: the folder holds something else, or cannot be written.
         ConfigError: it belongs to another bench, or weights have changed since it was begun.
     """
-    previous = stored(path)
+    previous = stored_content(path)
     weights = weights_digests()
     if previous is not None:
         if previous["request"]["bench"] != request.bench:
@@ -164,7 +164,7 @@ def open_bench(path: Path, request: Request) -> Folder:
     return Folder(path, request, revisions)
 
 
-def stored(path: Path) -> dict[str, Any] | None:
+def stored_content(path: Path) -> dict[str, Any] | None:
     """Return the stored content of a bench's folder; None if it is no bench's folder.
 
     Raises:
@@ -190,7 +190,7 @@ def request_of(
     Raises:
         InputError: an option is impossible, or the folder belongs to another bench.
     """
-    previous = stored(path)
+    previous = stored_content(path)
     if previous is not None and previous["request"].get("bench") != bench:
         raise ConfigError(
             f"{path}: belongs to bench {previous['request'].get('bench')}; choose another --out"

@@ -137,15 +137,15 @@ def fewshot_table(gathered: Gathered, scenes: SceneList, folder: Folder) -> Tabl
         row_keys = [
             [_row_key(guide, name, seed, mark) for seed in range(request.seeds)] for mark in marks[1:]
         ]
-        after_marks = [pooled([by_row[row] for row in rows]) for rows in row_keys]
-        return [pooled([by_row[_row_key(guide, name, 0, 0)]]), *after_marks]
+        after_marks = [pooled_collisions([by_row[row] for row in rows]) for rows in row_keys]
+        return [pooled_collisions([by_row[_row_key(guide, name, 0, 0)]]), *after_marks]
 
     rows: dict[tuple[str, str], list[Pooled]] = {}
     for guide in GUIDES:
         ladders = [ladder(guide, name) for name in names]
         rows |= {(guide, name): pooled_rates for name, pooled_rates in zip(names, ladders, strict=True)}
         if len(names) > 1:
-            rows[guide, ALL] = [averaged(column) for column in zip(*ladders, strict=True)]
+            rows[guide, ALL] = [mean_over_targets(column) for column in zip(*ladders, strict=True)]
     lines = tuple(
         Line(f"{guide}/{name}", GUIDES[guide], name, _cells(heads, pooled_rates))
         for (guide, name), pooled_rates in rows.items()
@@ -223,14 +223,14 @@ class Pooled:
         return Pooled(tuple(self.scenes[k] for k in rows.tolist()), self.hits[:, rows], self.targets)
 
 
-def pooled(runs: Sequence[Sequence[EpisodeResult]]) -> Pooled:
+def pooled_collisions(runs: Sequence[Sequence[EpisodeResult]]) -> Pooled:
     """Return the collisions of *runs* on the scenes that all of them finished."""
     flags = [{result.scene: float(bool(result.row["target_collision"])) for result in run} for run in runs]
     scenes = tuple(scene for scene in flags[0] if all(scene in by_scene for by_scene in flags))
     return Pooled(scenes, np.array([[by_scene[scene] for scene in scenes] for by_scene in flags]))
 
 
-def averaged(parts: Sequence[Pooled]) -> Pooled:
+def mean_over_targets(parts: Sequence[Pooled]) -> Pooled:
     """Return the mean over targets, on the scenes that all of them finished; all have the same number of warm-ups."""
     common = [scene for scene in parts[0].scenes if all(scene in part.scenes for part in parts)]
     aligned_parts = [

@@ -55,11 +55,11 @@ def count_findings(rows: Sequence[Mapping[str, Any]]) -> FindingCounts:
         others_broke=len(breaches),
         breaches=dict(sorted(Counter(kind for kinds in breaches for kind in kinds).items())),
         cells=len(valid_per_cell),
-        cells_per_100=rarefied(valid_per_cell, len(rows), SAMPLE_SIZE),
+        cells_per_100=expected_groups(valid_per_cell, len(rows), SAMPLE_SIZE),
     )
 
 
-def rarefied(members: Iterable[int], total: int, drawn: int) -> float | None:
+def expected_groups(members: Iterable[int], total: int, drawn: int) -> float | None:
     """Return the expected number of groups in a sample of *drawn* members (Hurlbert 1971, doi:10.2307/1934145).
 
     Args:

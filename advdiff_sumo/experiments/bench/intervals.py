@@ -183,7 +183,7 @@ def estimate(sample: Sample) -> Estimate:
 
 def difference(sample: Sample, other: Sample) -> Difference:
     """Return the figure of *sample* less that of *other*, over common scenes; the same ones are drawn for both."""
-    a, b = aligned(sample, other)
+    a, b = aligned_samples(sample, other)
     if not a.scenes:
         return Difference()
     value = _point_estimate(a) - _point_estimate(b)
@@ -196,7 +196,7 @@ def difference(sample: Sample, other: Sample) -> Difference:
     return Difference(value, low, high, _mcnemar_of(a, b), len(a.scenes))
 
 
-def aligned(a: Sample, b: Sample) -> tuple[Sample, Sample]:
+def aligned_samples(a: Sample, b: Sample) -> tuple[Sample, Sample]:
     """Return both samples restricted to their common scenes, in the order of the first."""
     row_of = {scene: row for row, scene in enumerate(b.scenes)}
     rows = np.array([k for k, scene in enumerate(a.scenes) if scene in row_of], dtype=np.int64)

@@ -102,15 +102,15 @@ def chosen_models(request: Request, reporter: ProgressReporter) -> tuple[str, ..
             raise ConfigError(
                 f"--policies {name}: bench traffic has no such row; {did_you_mean(name, MODELS)}"
             )
-        if not MODELS[name].there:
+        if not MODELS[name].is_installed:
             raise ConfigError(
                 f"--policies {name}: this installation has no {MODELS[name].weights} yet; leave it out"
             )
     for name, model in MODELS.items():
-        if not requested and not model.there:
+        if not requested and not model.is_installed:
             reporter.say(f"row {name} is left out: this installation has no {model.weights} yet")
     rows = {LOG, *(requested or MODELS)}
-    names = [name for name, model in MODELS.items() if name in rows and model.there]
+    names = [name for name, model in MODELS.items() if name in rows and model.is_installed]
     other_view = [name for name in names if given_view and name != LOG and MODELS[name].view != given_view]
     if other_view:
         reporter.say(

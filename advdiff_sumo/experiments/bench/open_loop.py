@@ -26,7 +26,7 @@ from advdiff_sumo.models.model_options import MODEL_STEP_S
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.models.simnet import load_simnet
 from advdiff_sumo.training import realism
-from advdiff_sumo.training.displacement import driving, logged
+from advdiff_sumo.training.displacement import driving_mask, logged_rollout
 from advdiff_sumo.training.open_loop import Draw, by_diffusion, from_prior, judge
 
 Continue = Callable[[SceneBatch, int, torch.Generator], tuple[Rollout, int]]
@@ -57,7 +57,7 @@ class ComparedModel:
         return shipped_weights().parent / self.weights
 
     @property
-    def there(self) -> bool:
+    def is_installed(self) -> bool:
         """Whether its weights are installed."""
         return not self.weights or self.path.is_file()
 
@@ -90,7 +90,7 @@ class WindowCounts:
 
 
 def _log(_: Path) -> Continue:
-    return lambda batch, _samples, _generator: (logged(batch), 1)
+    return lambda batch, _samples, _generator: (logged_rollout(batch), 1)
 
 
 def _simnet(path: Path) -> Continue:
@@ -181,7 +181,7 @@ def count(name: str, batch: SceneBatch, samples: int, seed: int) -> WindowCounts
 
 def _ttc_histograms(rollout: Rollout, batch: SceneBatch, samples_per_window: int) -> FloatArray:
     """Return histograms (W, bins) of times to collision of driving vehicles at the known instants."""
-    is_known = (driving(batch)[..., None] & realism.known_steps(batch)).numpy()
+    is_known = (driving_mask(batch)[..., None] & realism.known_steps(batch)).numpy()
     windows = len(is_known) // samples_per_window
     rows = (part.reshape(windows, -1) for part in (ttc_of(rollout, batch), is_known))
     return np.stack([ttc_counts(ttc_s[mask]) for ttc_s, mask in zip(*rows, strict=True)])

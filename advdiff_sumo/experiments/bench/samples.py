@@ -10,7 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult
-from advdiff_sumo.experiments.bench.intervals import Divergence, Ratio, Sample, aligned
+from advdiff_sumo.experiments.bench.intervals import Divergence, Ratio, Sample, aligned_samples
 
 _HISTOGRAMS = ("speed", "accel", "ttc")
 
@@ -96,7 +96,7 @@ def background_samples(
 
 def divergence_from_natural(results: Sequence[EpisodeResult], natural: Sequence[EpisodeResult]) -> Divergence:
     """Return the divergence of speeds, accelerations and times to collision from those of *natural* traffic."""
-    observed, reference = aligned(_histograms(results), _histograms(natural))
+    observed, reference = aligned_samples(_histograms(results), _histograms(natural))
     assert isinstance(observed, Divergence) and isinstance(reference, Divergence)  # noqa: S101, PT018 - for mypy
     return Divergence(observed.scenes, observed.counts, reference.counts)
 

@@ -32,7 +32,7 @@ def save(folder: Folder, table: Table) -> None:
     write_whole(folder.path / _DONE, json.dumps({"asked": folder.request_digest}).encode())
 
 
-def finished(folder: Folder) -> Table | None:
+def finished_table(folder: Folder) -> Table | None:
     """Return the table of the folder; None if it is missing or belongs to another request.
 
     Raises:

@@ -91,20 +91,24 @@ def latex_text(table: Table) -> str:
     r"""Return a table for LaTeX; it needs the packages booktabs, xcolor and graphicx, the latter for ``\resizebox``."""
     has_groups = any(line.group for line in table.lines)
     columns = ("l" if has_groups else "") + "l" + "r" * len(table.heads)
-    titles = [*([""] if has_groups else []), "", *(escaped(formatting.heading(head)) for head in table.heads)]
+    titles = [
+        *([""] if has_groups else []),
+        "",
+        *(escaped_latex(formatting.heading(head)) for head in table.heads),
+    ]
     body, previous_group = [], None
     for line in table.lines:
         if previous_group is not None and line.group != previous_group:
             body.append(r"\midrule")
-        label = [escaped(line.group) if line.group != previous_group else ""] if has_groups else []
+        label = [escaped_latex(line.group) if line.group != previous_group else ""] if has_groups else []
         cells = (_latex_cell(line.cells.get(head.key), head) for head in table.heads)
-        body.append(" & ".join((*label, escaped(line.title), *cells)) + r" \\")
+        body.append(" & ".join((*label, escaped_latex(line.title), *cells)) + r" \\")
         previous_group = line.group
     rows = "\n".join(body)
     return (
         "% needs booktabs, xcolor, graphicx\n"
         "\\begin{table*}\n\\centering\n"
-        f"\\caption{{{escaped(table.title)}. Intervals are 95\\,\\%; grey: the paper's own figures.}}\n"
+        f"\\caption{{{escaped_latex(table.title)}. Intervals are 95\\,\\%; grey: the paper's own figures.}}\n"
         f"\\label{{tab:{table.bench}}}\n\\resizebox{{\\linewidth}}{{!}}{{%\n\\begin{{tabular}}{{{columns}}}\n"
         f"\\toprule\n{' & '.join(titles)} \\\\\n\\midrule\n{rows}\n\\bottomrule\n"
         "\\end{tabular}}\n\\end{table*}\n"
@@ -126,7 +130,7 @@ def markdown_text(table: Table) -> str:
     return f"**{table.title}**\n\n{text}\n{notes}"
 
 
-def escaped(text: str) -> str:
+def escaped_latex(text: str) -> str:
     """Return *text* with LaTeX's special characters escaped."""
     return "".join(_LATEX_ESCAPES.get(letter, letter) for letter in text)
 
@@ -161,7 +165,7 @@ def _markdown_cell(cell: Cell | None, head: Head) -> str:
 def _latex_cell(cell: Cell | None, head: Head) -> str:
     if cell is None:
         return "--"
-    value = escaped(formatting.number(cell.found.value, head))
+    value = escaped_latex(formatting.number(cell.found.value, head))
     parts = [f"\\textbf{{{value}}}" if cell.best else value]
     interval = formatting.interval(cell.found.low, cell.found.high, head)
     if interval:

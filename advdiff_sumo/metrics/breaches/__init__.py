@@ -14,8 +14,8 @@ from advdiff_sumo.metrics.breaches.conduct_rules import (
     drove_off_road,
     drove_too_fast,
     off_road,
-    reversing,
-    speeding,
+    reversing_breach,
+    speeding_breach,
 )
 from advdiff_sumo.metrics.breaches.junction_rules import red_light, right_of_way
 from advdiff_sumo.metrics.breaches.lane_rules import lane_entry_breach, wrong_side
@@ -37,7 +37,15 @@ _EXCUSING = frozenset(
     )
 )
 #: Rules whose breach puts a party where the contact is.
-_PRESENCE_RULES = (red_light, right_of_way, wrong_side, lane_entry_breach, reversing, off_road, speeding)
+_PRESENCE_RULES = (
+    red_light,
+    right_of_way,
+    wrong_side,
+    lane_entry_breach,
+    reversing_breach,
+    off_road,
+    speeding_breach,
+)
 
 
 def breaches_of(view: TrafficView, case: Encounter, index: int) -> tuple[Breach, ...]:

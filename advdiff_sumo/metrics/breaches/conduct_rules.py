@@ -27,7 +27,7 @@ _OFF_ROAD_EVERY_S = 0.5
 _MAY_LEAVE_ROAD = (AgentClass.PEDESTRIAN, AgentClass.BICYCLE)
 
 
-def speeding(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+def speeding_breach(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     """Return the breach of having driven at over 1.2 × the limit while approaching the other."""
     party = case.parties[index]
     start = max(0, case.collision.step - view.steps(BREACH_WINDOW_S))
@@ -54,7 +54,7 @@ def _limits_mps(view: TrafficView, row: int, start: int, stop: int) -> FloatArra
     return np.array([np.inf if lane is None else limits[lane] for lane in lanes], dtype=np.float64)
 
 
-def reversing(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+def reversing_breach(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     """Return the breach of reversing at the contact."""
     party, step = case.parties[index], case.collision.step
     if party.is_pedestrian or party.speed_mps >= -REVERSING_MPS:

@@ -26,7 +26,7 @@ from advdiff_sumo.metrics.kept_motion import (
     DrivenWay,
     Poses,
     braked_s_m,
-    continued,
+    continued_poses,
     first_contact_step,
     with_speed_kept,
 )
@@ -82,7 +82,7 @@ def _required_brake_mps2(record: EpisodeRecord, view: TrafficView, entry: Juncti
     """
     tracks, step = record.tracks, entry.line_step
     count, sizes = view.steps(AHEAD_S), tracks.size_m[[record.target, row]]
-    target = continued(record, record.target, step, count)
+    target = continued_poses(record, record.target, step, count)
     contact = first_contact_step(target, with_speed_kept(record, row, step, step, count), *sizes)
     if contact is None or not _has_priority(view, entry, row) or _hits_third(record, row, step, contact):
         return 0.0

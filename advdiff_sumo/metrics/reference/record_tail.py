@@ -11,7 +11,7 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.scene import Tracks
 
 
-def extended(tracks: Tracks, begin: int, after: int) -> Tracks:
+def extended_tracks(tracks: Tracks, begin: int, after: int) -> Tracks:
     """Return the instants from *begin* on and *after* more, with heading and last braking (or else speed) kept."""
     recorded = tracks.window(begin, tracks.steps)
     time = tracks.dt_s * np.arange(1, after + 1)

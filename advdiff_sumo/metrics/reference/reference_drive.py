@@ -31,7 +31,7 @@ from advdiff_sumo.metrics.reference.driver_models import HUMAN, MODELS, DriverMo
 from advdiff_sumo.metrics.reference.others_paths import PERCEPTION_S, Prediction, predicted_motion
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
 from advdiff_sumo.metrics.reference.reaction import Reaction, react
-from advdiff_sumo.metrics.reference.record_tail import extended
+from advdiff_sumo.metrics.reference.record_tail import extended_tracks
 from advdiff_sumo.metrics.reference.stop_duty import stop_demand
 
 #: A reference driver takes over at most this long before the contact.
@@ -138,7 +138,7 @@ class ReferenceDrivers:
         earliest = int(absent[-1]) + 1 if absent.size else 0
         self._begin = max(hit.step - round(lookback_s / dt), min(earliest, hit.step))
         self._contact = hit.step
-        self._tracks = extended(record.tracks, self._begin, round(AFTER_S / dt))
+        self._tracks = extended_tracks(record.tracks, self._begin, round(AFTER_S / dt))
 
     def drive(self, model: str = HUMAN.name) -> ReferenceDrive:
         """Return the drive of *model*; see :func:`drive_reference`.

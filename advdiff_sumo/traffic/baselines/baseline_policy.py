@@ -21,10 +21,10 @@ from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.background_plan import (
     Rules,
     empty_plan,
-    outlook,
     plausible_plan,
     remaining_plan,
     steps_driven,
+    view_and_lanes,
 )
 from advdiff_sumo.traffic.baselines.baseline_networks import FrozenPrior
 from advdiff_sumo.traffic.baselines.baseline_options import BaselineOptions
@@ -137,7 +137,7 @@ class BaselinePolicy(ABC):
         remaining = remaining_plan(road, memory.plan, memory.driven, scene, self.options.replan)
         if remaining is not None:
             return JointPlan(remaining), replace(memory, driven=steps_driven(memory.plan, scene))
-        view, lanes = outlook(road, scene, self.prior.map_view)
+        view, lanes = view_and_lanes(road, scene, self.prior.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return JointPlan(empty_plan(scene), attack=AttackState("any")), replace(memory, plan=None)

@@ -16,10 +16,10 @@ from advdiff_sumo.models.view import View
 from advdiff_sumo.traffic.background_plan import (
     Rules,
     empty_plan,
-    outlook,
     plausible_plan,
     remaining_plan,
     steps_driven,
+    view_and_lanes,
 )
 from advdiff_sumo.traffic.diffusion.diffusion_networks import Networks, networks_of
 from advdiff_sumo.traffic.diffusion.diffusion_options import DiffusionOptions, Traj2TrajOptions
@@ -125,7 +125,7 @@ class DiffusionTraffic:
     def _new_plan(
         self, road: RoadMap, scene: Scene, memory: DiffusionMemory, rng: np.random.Generator
     ) -> tuple[JointPlan, DiffusionMemory]:
-        view, lanes = outlook(road, scene, self.networks.bundle.options.model.map_view)
+        view, lanes = view_and_lanes(road, scene, self.networks.bundle.options.model.map_view)
         seed = int(rng.integers(2**62))
         if not view.moved.any():
             return self._plan_newcomers(road, view, memory)

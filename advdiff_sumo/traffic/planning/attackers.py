@@ -53,7 +53,7 @@ def choose(
         attacked_before: (N,) whether it attacked in the previous plan.
     """
     approach = closest_m(futures)
-    is_candidate = moved & eligible(standing_of(futures), attack) & (approach < FARTHEST_M)
+    is_candidate = moved & eligible_mask(standing_of(futures), attack) & (approach < FARTHEST_M)
     is_candidate[0] = False
     score = np.where(is_candidate, approach - STICKY_M * attacked_before, np.inf)
     order = np.argsort(score, kind="stable")[:count]
@@ -106,7 +106,7 @@ def standing_of(futures: Futures) -> Standing:
     )
 
 
-def eligible(poses: Standing, attack: str) -> BoolArray:
+def eligible_mask(poses: Standing, attack: str) -> BoolArray:
     """Return (N,) whether each vehicle is in a position for *attack*."""
     ahead, side = poses.ahead_m, np.abs(poses.left_m)
     same_way, oncoming = poses.heading_cos > _PARALLEL_COS, poses.heading_cos < -_PARALLEL_COS

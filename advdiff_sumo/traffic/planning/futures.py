@@ -65,7 +65,7 @@ class Futures(KinematicStates):
         if steps <= self.steps:
             return self.first(steps)
         last = self.xy_m[:, -1], self.yaw_rad[:, -1], self.speed_mps[:, -1]
-        tail = coasting(*last, self.size_m, steps - self.steps, self.dt_s)
+        tail = constant_velocity_futures(*last, self.size_m, steps - self.steps, self.dt_s)
         return replace(
             self,
             xy_m=np.concatenate((self.xy_m, tail.xy_m[:, 1:]), axis=1),
@@ -104,7 +104,7 @@ def futures_of(now: Tracks, rollout: Rollout) -> Futures:
     )
 
 
-def coasting(
+def constant_velocity_futures(
     xy_m: FloatArray, yaw_rad: FloatArray, speed_mps: FloatArray, size_m: FloatArray, steps: int, dt_s: float
 ) -> Futures:
     """Return the futures of N road users that keep their velocity.

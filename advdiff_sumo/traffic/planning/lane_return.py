@@ -14,7 +14,7 @@ from advdiff_sumo.core.scene import MOTOR_CLASSES, AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.traffic.licence import NATURAL_OVER_LIMIT
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.planning.people import PEOPLE
 from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
@@ -39,7 +39,7 @@ def return_to_lanes(road: RoadMap, scene: Scene, duration_s: float, plans: Track
     inputs = _safeguard_input(road, scene)
     on_lane = np.array([lane is not None for lane in inputs.lanes]) & (now.classes != AgentClass.PEDESTRIAN)
     steps = max(FUTURE_STEPS, math.ceil(duration_s / MODEL_STEP_S))
-    futures = coasting(*present, now.size_m, steps, MODEL_STEP_S)
+    futures = constant_velocity_futures(*present, now.size_m, steps, MODEL_STEP_S)
     _brake_to_standstill(futures, inputs.is_planned & ~on_lane)
     back_to_lane(futures, np.flatnonzero(on_lane), inputs)
     _bound_to_present_speed(futures, on_lane & ~inputs.is_planned)

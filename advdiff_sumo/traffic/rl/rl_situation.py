@@ -14,7 +14,13 @@ from advdiff_sumo.core.scene import Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, empty_plan, outlook, plausible_plan, steps_driven
+from advdiff_sumo.traffic.background_plan import (
+    Rules,
+    empty_plan,
+    plausible_plan,
+    steps_driven,
+    view_and_lanes,
+)
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import can_attack, choose
 from advdiff_sumo.traffic.planning.drawn import Drawn
@@ -22,7 +28,7 @@ from advdiff_sumo.traffic.planning.futures import futures_of
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.rl.features import FEATURES, observe
 from advdiff_sumo.traffic.rl.prior import Prior
-from advdiff_sumo.traffic.rl.steer import steered
+from advdiff_sumo.traffic.rl.steer import steered_futures
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,7 @@ def situation(
         before: ids of the previous attackers, which are preferred if they still can attack.
         licence: what attackers may do.
     """
-    view, lanes = outlook(road, scene, prior.options.map_view)
+    view, lanes = view_and_lanes(road, scene, prior.options.map_view)
     if not view.moved.any():
         return AttackSituation(view, lanes, None, np.zeros(0, dtype=np.int64), np.zeros((0, FEATURES)))
     natural = prior.rollout(view.batch)
@@ -97,7 +103,7 @@ def joint_plan(
     if now.natural is None:
         return JointPlan(empty_plan(now.view.scene), attack=AttackState("any"))
     rows = torch.from_numpy(now.rows)
-    rollout = steered(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
+    rollout = steered_futures(now.natural, now.view.batch, rows, torch.from_numpy(residuals), prior.options)
     drawn = Drawn(rollout, {}, now.attackers, torch.zeros(len(now.view.ids), 0))
     previous = before, steps_driven(before, now.view.scene)
     plan = plausible_plan(road, now.view, now.lanes, drawn, previous, Rules(licence, len(now.rows)))

@@ -26,7 +26,7 @@ _MIN_SPEED_MPS = 1.0
 """Lowest speed by which accelerations and yaw rates are divided."""
 
 
-def steered(
+def steered_futures(
     natural: Rollout, batch: SceneBatch, rows: Tensor, residuals: Tensor, options: ModelOptions
 ) -> Rollout:
     """Return *natural* with changed futures for *rows*.

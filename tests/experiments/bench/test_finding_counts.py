@@ -16,9 +16,9 @@ from advdiff_sumo.experiments.bench.detection import EpisodeOutcome
 from advdiff_sumo.experiments.bench.episode_results import EpisodeResult, Gathered
 from advdiff_sumo.experiments.bench.finding_counts import (
     count_findings,
+    expected_groups,
     findings_text,
     first_costs,
-    rarefied,
 )
 from advdiff_sumo.experiments.bench.traces import UNTRACED
 
@@ -46,16 +46,16 @@ def episode(number: int, valid: bool | None, approach: str = "ahead", broke: str
 
 def test_two_of_four_hold_so_many_groups() -> None:
     """Of the six pairs of four, five hold one of the two alike, and three hold the single one: 5/6 + 3/6."""
-    assert rarefied([2, 1], 4, 2) == pytest.approx(8 / 6)
-    assert rarefied([2, 1], 4, 4) == 2.0
-    assert rarefied([], 4, 2) == 0.0
-    assert rarefied([2], 4, 5) is None
+    assert expected_groups([2, 1], 4, 2) == pytest.approx(8 / 6)
+    assert expected_groups([2, 1], 4, 4) == 2.0
+    assert expected_groups([], 4, 2) == 0.0
+    assert expected_groups([2], 4, 5) is None
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6), st.integers(0, 50))
 def test_more_draws_never_hold_fewer_groups(members: list[int], others: int) -> None:
     total = sum(members) + others
-    expected = [rarefied(members, total, drawn) for drawn in range(1, total + 1)]
+    expected = [expected_groups(members, total, drawn) for drawn in range(1, total + 1)]
     assert expected == sorted(expected)  # type: ignore[type-var] # none of them asks for more than there are
     assert expected[-1] == len(members)
 

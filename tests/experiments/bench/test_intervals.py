@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from advdiff_sumo.experiments.bench.fewshot import Pooled, averaged
+from advdiff_sumo.experiments.bench.fewshot import Pooled, mean_over_targets
 from advdiff_sumo.experiments.bench.intervals import (
     Divergence,
     Estimate,
@@ -150,14 +150,14 @@ def test_a_difference_that_all_pairs_agree_in_has_a_width() -> None:
 def test_the_mean_over_targets_takes_the_scenes_that_all_have() -> None:
     one = Pooled(tuple("abc"), np.array([[1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]))
     other = Pooled(tuple("cb"), np.array([[0.0, 0.0], [1.0, 0.0]]))
-    both = averaged([one, other])
+    both = mean_over_targets([one, other])
     assert (both.scenes, both.targets) == (("b", "c"), 2)
     assert both.hits.tolist() == [[0.0, 0.5], [0.5, 1.0]]
     found = both.estimate()
     assert (found.value, found.n) == (0.5, 8)
     assert found.low == 0.0  # both draws of b, of the first warm-up
     assert found.high == 1.0
-    gained = both.less(averaged([Pooled(tuple("bc"), np.array([[0.0, 0.0]]))] * 2))
+    gained = both.less(mean_over_targets([Pooled(tuple("bc"), np.array([[0.0, 0.0]]))] * 2))
     assert (gained.value, gained.scenes) == (0.5, 2)
 
 

@@ -17,8 +17,8 @@ from advdiff_sumo.experiments.bench.fewshot import marks_of
 from advdiff_sumo.experiments.bench.intervals import ratio
 from advdiff_sumo.experiments.bench.print_table import print_table
 from advdiff_sumo.experiments.bench.table import Head, RowSamples, Table, gaps_of, lines_of, paper_table
-from advdiff_sumo.experiments.bench.table_cache import finished, read_table, save
-from advdiff_sumo.experiments.bench.write_table import escaped, latex_text
+from advdiff_sumo.experiments.bench.table_cache import finished_table, read_table, save
+from advdiff_sumo.experiments.bench.write_table import escaped_latex, latex_text
 
 HEADS = (
     Head("collision_rate", "CR", "%", 100.0, 1, "high"),
@@ -113,7 +113,7 @@ def test_latex_is_balanced(table: Table) -> None:
 
 
 def test_letters_of_latex_are_escaped() -> None:
-    assert escaped("a_b & 5 %") == r"a\_b \& 5 \%"
+    assert escaped_latex("a_b & 5 %") == r"a\_b \& 5 \%"
 
 
 def test_only_the_file_of_times_holds_times(table: Table, tmp_path: Path) -> None:
@@ -130,10 +130,10 @@ def test_only_the_file_of_times_holds_times(table: Table, tmp_path: Path) -> Non
 
 def test_a_finished_folder_gives_its_table_back(table: Table, tmp_path: Path) -> None:
     folder = Folder(tmp_path, Request(bench="adversarial"))
-    assert finished(folder) is None
+    assert finished_table(folder) is None
     save(folder, table)
-    assert finished(folder) == table.__class__(**{**vars(table), "heads": HEADS})
-    assert finished(Folder(tmp_path, Request(bench="adversarial", scenes="61"))) is None
+    assert finished_table(folder) == table.__class__(**{**vars(table), "heads": HEADS})
+    assert finished_table(Folder(tmp_path, Request(bench="adversarial", scenes="61"))) is None
     (tmp_path / "table.json").write_text("{")
     with pytest.raises(FileError, match="run the bench again"):
         read_table(tmp_path)

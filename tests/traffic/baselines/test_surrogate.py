@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.baselines.surrogate import ask, drive_surrogate, make_surrogate, states_of
-from advdiff_sumo.traffic.planning.futures import coasting
+from advdiff_sumo.traffic.planning.futures import constant_velocity_futures
 
 Street = Callable[..., Scene]
 
@@ -52,8 +52,8 @@ def test_it_reacts_to_the_futures_of_the_others(downtown: RoadMap, street: Stree
     assert planner is not None
     now = view.now
     pose = now.xy_m[:, -1], now.yaw_rad[:, -1]
-    going = coasting(*pose, np.array([8.0, 8.0]), now.size_m, 12, 0.5)
-    stopped = coasting(*pose, np.array([8.0, 0.0]), now.size_m, 12, 0.5)
+    going = constant_velocity_futures(*pose, np.array([8.0, 8.0]), now.size_m, 12, 0.5)
+    stopped = constant_velocity_futures(*pose, np.array([8.0, 0.0]), now.size_m, 12, 0.5)
     made = []
     for futures in (going, stopped):
         memory = planner.start(downtown, scene, np.random.default_rng(0))

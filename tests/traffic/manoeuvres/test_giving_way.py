@@ -13,7 +13,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.planning.futures import coasting
+from advdiff_sumo.traffic.planning.futures import constant_velocity_futures
 from tests.sim import nets
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on
 
@@ -38,7 +38,7 @@ def lines_of(road: RoadMap, cars: Cars, view: SituationView | None = None) -> li
     view = view or view_of(road, cars)
     rows = list(range(1, len(cars)))
     now = view.scene.history.rows(np.array(rows))
-    plans = coasting(
+    plans = constant_velocity_futures(
         now.xy_m[:, -1], now.yaw_rad[:, -1], now.speed_mps[:, -1], now.size_m, FUTURE_STEPS, MODEL_STEP_S
     )
     return [float(line) for line in waiting_lines_m(view, rows, plans)]

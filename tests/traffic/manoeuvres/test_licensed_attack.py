@@ -17,7 +17,7 @@ from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import UNRESTRICTED, licensed_attack
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 from advdiff_sumo.traffic.policy_registry import make_policy
 from tests.traffic.small_networks import downtown, street
 
@@ -26,7 +26,7 @@ __all__ = ["downtown", "street"]
 
 def futures_of_scene(scene: Scene) -> Futures:
     history = scene.history
-    return coasting(
+    return constant_velocity_futures(
         history.xy_m[:, -1],
         history.yaw_rad[:, -1],
         history.speed_mps[:, -1],

@@ -7,7 +7,7 @@ import pytest
 
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.attackers import STICKY_M, can_attack, choose, closest_m
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 
 #          x, y, yaw, speed
 CARS = {
@@ -25,7 +25,7 @@ SIZES = np.tile([4.0, 2.0], (3, 1))
 
 def futures() -> Futures:
     x = np.array(list(CARS.values()), dtype=np.float64)
-    return coasting(x[:, :2], x[:, 2], x[:, 3], np.tile([4.0, 2.0], (len(x), 1)), 8, 0.5)
+    return constant_velocity_futures(x[:, :2], x[:, 2], x[:, 3], np.tile([4.0, 2.0], (len(x), 1)), 8, 0.5)
 
 
 def chosen(attack: str, count: int = 8, before: str = "", moved: tuple[str, ...] = tuple(NAMES)) -> list[str]:
@@ -94,7 +94,7 @@ def test_a_lead_vehicle_beyond_a_bend_counts_as_leading() -> None:
     angle = np.linspace(0.0, 0.5 * np.pi, 9)
     bend = np.stack((20.0 * np.sin(angle), 20.0 - 20.0 * np.cos(angle)), axis=-1)
     cars = np.array([[0.0, 0.0], [20.0, 30.0], [30.0, 30.0]])
-    still = coasting(
+    still = constant_velocity_futures(
         cars, np.array([0.0, 0.5 * np.pi, 0.5 * np.pi]), np.array([8.0, 0.0, 0.0]), SIZES, 8, 0.5
     )
     still.put(0, bend[1:], angle[1:], np.full(8, 8.0))
@@ -103,7 +103,7 @@ def test_a_lead_vehicle_beyond_a_bend_counts_as_leading() -> None:
 
 def test_only_reckless_attackers_are_guided_against_a_standing_target() -> None:
     cars = np.array([[0.0, 0.0], [5.0, 3.5], [20.0, 3.5]])
-    standing = coasting(cars, np.zeros(3), np.array([1.9, 8.0, 8.0]), SIZES, 8, 0.5)
+    standing = constant_velocity_futures(cars, np.zeros(3), np.array([1.9, 8.0, 8.0]), SIZES, 8, 0.5)
     every = np.ones(3, dtype=np.bool_)
     assert not can_attack(standing, every, "lawful").any()
     assert can_attack(standing, every, "reckless").all()

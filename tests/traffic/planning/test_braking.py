@@ -7,7 +7,7 @@ import pytest
 
 from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.traffic.planning.braking import GAP_M, Braked, brake, brake_ahead
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 
 T, DT = 12, 0.5
 FREE = np.inf
@@ -16,7 +16,7 @@ FREE = np.inf
 def cars(*states: tuple[float, float, float, float]) -> Futures:
     """Return cars (x, y, yaw, speed) of 4 by 2 m that drive straight on for 6 s."""
     x = np.array(states, dtype=np.float64)
-    return coasting(x[:, :2], x[:, 2], x[:, 3], np.tile([4.0, 2.0], (len(x), 1)), T, DT)
+    return constant_velocity_futures(x[:, :2], x[:, 2], x[:, 3], np.tile([4.0, 2.0], (len(x), 1)), T, DT)
 
 
 def braked(futures: Futures, stop: float = FREE, exempt: tuple[int, int] | None = None) -> Braked:

@@ -8,7 +8,7 @@ import pytest
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
 from advdiff_sumo.traffic.planning.braking import LADDER_MPS2
 from advdiff_sumo.traffic.planning.following_gap import keep_back
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 
 T, DT, LENGTH_M = 12, 0.5, 4.5
 FOLLOWER = np.array([False, True])
@@ -20,7 +20,7 @@ def street(
     """Return the target, and a follower *gap_m* behind it; both keep their speeds."""
     xy = np.array([[200.0, aside_m], [200.0 - LENGTH_M - gap_m, 0.0]])
     yaw, speed = np.array([yaw_rad, 0.0]), np.array([target_mps, own_mps])
-    return coasting(xy, yaw, speed, np.tile([LENGTH_M, 1.8], (2, 1)), T, DT)
+    return constant_velocity_futures(xy, yaw, speed, np.tile([LENGTH_M, 1.8], (2, 1)), T, DT)
 
 
 def slows_by(plans: Futures) -> float:

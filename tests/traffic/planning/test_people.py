@@ -9,7 +9,7 @@ import pytest
 
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.traffic.planning.braking import SIDE_M, brake
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M, go_straight, velocities
 
 T, DT = 12, 0.5
@@ -45,7 +45,7 @@ def test_pedestrians_keep_their_mean_velocity(valid: list[bool], velocity: tuple
 
 def street(beside_m: float, walks_mps: float, faces: float = 0.0) -> Futures:
     """Return a car at 8 m/s along x, and a pedestrian 24 m ahead, *beside_m* to its left, who walks to the right."""
-    futures = coasting(
+    futures = constant_velocity_futures(
         np.array([[0.0, 0.0], [24.0, beside_m]]),
         np.array([0.0, faces]),
         np.array([8.0, 0.0]),

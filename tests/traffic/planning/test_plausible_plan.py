@@ -13,7 +13,7 @@ from advdiff_sumo.core.scene import TRACK_ARRAYS, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.view import View
-from advdiff_sumo.traffic.background_plan import Rules, outlook, plausible_plan, remaining_plan
+from advdiff_sumo.traffic.background_plan import Rules, plausible_plan, remaining_plan, view_and_lanes
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.planning.drawn import Drawn
 from tests.traffic.manoeuvres.scenes import scene_on
@@ -37,7 +37,7 @@ def test_plans_that_the_safeguard_changed_are_counted(
 ) -> None:
     """Four vehicles follow each other as fast as the target; then one of them is 9 m off its lane in half a second."""
     scene = street(PLACES, [8.0] * 5)
-    view, lanes = outlook(downtown, scene)
+    view, lanes = view_and_lanes(downtown, scene)
     counts = {}
     for aside_m in (0.0, 9.0):
         plan = plausible_plan(downtown, view, lanes, proposal(view, aside_m), (None, 0), Rules("reckless", 0))
@@ -52,7 +52,7 @@ def test_a_vehicle_whose_proposal_the_licence_refuses_is_no_attacker(
 ) -> None:
     """Both keep their speed: the vehicle ahead may, the one behind would hit a target that brakes at 4 m/s²."""
     scene = street(PLACES, [8.0] * 5)
-    view, lanes = outlook(downtown, scene)
+    view, lanes = view_and_lanes(downtown, scene)
     drawn = replace(proposal(view, 0.0), attackers=("v1", "v4"))
     plan = plausible_plan(downtown, view, lanes, drawn, (None, 0), Rules(licence, 2))
     assert plan.attackers == attackers
@@ -102,7 +102,7 @@ def test_followers_of_the_target_keep_a_gap_unless_they_are_reckless(
 ) -> None:
     """At 8 m/s 3 m behind the target: 4 m until the next plan, 4.6 m to stop, less 4.2 m, and a metre are 5.4 m."""
     scene = street([*PLACES[:1], (52.4, 0.0)], [8.0] * 2)
-    view, lanes = outlook(downtown, scene)
+    view, lanes = view_and_lanes(downtown, scene)
     speeds = {}
     for name in ("lawful", "careless", "reckless"):
         rules = Rules(name, 0)  # type: ignore[arg-type] # names of licences

@@ -10,7 +10,7 @@ import pytest
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
 from advdiff_sumo.traffic.planning.road_bound import leaves_road
 from advdiff_sumo.traffic.planning.safeguard import (
@@ -41,7 +41,9 @@ def on(lane: Lane, s: float, speed: float, left: float = 0.0, turn: float = 0.0)
     xy, yaw = lane.line.at(np.array([s]), left)
     aside = np.array((-np.sin(yaw[0]), np.cos(yaw[0])))
     xy = np.vstack((xy[0] + (40.0 - left) * aside, xy))
-    return coasting(xy, np.array([0.0, yaw[0] + turn]), np.array([0.0, speed]), np.tile(SIZE, (2, 1)), T, DT)
+    return constant_velocity_futures(
+        xy, np.array([0.0, yaw[0] + turn]), np.array([0.0, speed]), np.tile(SIZE, (2, 1)), T, DT
+    )
 
 
 def ahead(road: RoadMap, futures: Futures) -> list[LaneAhead | None]:
@@ -286,7 +288,7 @@ def test_a_vehicle_over_the_line_continues(downtown: RoadMap, lane: Lane) -> Non
 def test_the_order_of_vehicles_does_not_matter(downtown: RoadMap, lane: Lane) -> None:
     s, speed = np.array([20.0, 32.0, 44.0, 60.0]), np.array([12.0, 9.0, 6.0, 0.0])
     xy, yaw = lane.line.at(s)
-    plans = coasting(xy, yaw, speed, np.tile(SIZE, (4, 1)), T, DT)
+    plans = constant_velocity_futures(xy, yaw, speed, np.tile(SIZE, (4, 1)), T, DT)
     far = on(lane, 0.0, 0.0)
 
     def run(order: list[int]) -> np.ndarray:

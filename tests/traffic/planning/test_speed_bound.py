@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.maps.lanes import Lane
-from advdiff_sumo.traffic.planning.futures import Futures, coasting
+from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
 from advdiff_sumo.traffic.planning.lane_following import approach_mps
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.speed_bound import EASE_MPS2, NO_LANE_MPS, allowed_mps, bound_speeds
@@ -41,7 +41,7 @@ def street(length_m: float) -> LaneAhead:
 
 def plan(*speeds_mps: float) -> Futures:
     speed = np.array(speeds_mps)
-    return coasting(
+    return constant_velocity_futures(
         np.zeros((len(speed), 2)), np.zeros(len(speed)), speed, np.tile((4.0, 2.0), (1, 1)), T, DT
     )
 

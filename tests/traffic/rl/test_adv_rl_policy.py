@@ -84,7 +84,7 @@ def test_with_strength_0_no_licence_changes_the_behaviour_model(
     """The plan is that of the behaviour model with untrained weights, after the safeguard, without an attacker."""
     scene = street([(60.0, 0.0), (70.0, -2.5), (90.0, 0.0)], [8.0, 4.0, 6.0])
     made = policy(actor_file, weights, 0.7, strength=0.0, licence=licence)
-    view, lanes = background_plan.outlook(downtown, scene, made.prior.options.map_view)
+    view, lanes = background_plan.view_and_lanes(downtown, scene, made.prior.options.map_view)
     drawn = Drawn(made.prior.rollout(view.batch), {}, (), torch.zeros(len(view.ids), 0))
     rules = background_plan.Rules(made.options.licence, 0)
     natural = background_plan.plausible_plan(downtown, view, lanes, drawn, (None, 0), rules)

@@ -12,7 +12,7 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.view import look
-from advdiff_sumo.traffic.planning.futures import coasting
+from advdiff_sumo.traffic.planning.futures import constant_velocity_futures
 from advdiff_sumo.traffic.planning.lanes_ahead import lanes_ahead
 from advdiff_sumo.traffic.rl.features import FEATURES, LIMIT, OTHERS, observe
 from advdiff_sumo.traffic.rl.prior import load_prior
@@ -26,7 +26,7 @@ def seen(road: RoadMap, scene: Scene, row: int = 1) -> np.ndarray:
     """Return the observation of the vehicle in *row* of the view if all vehicles keep their velocity."""
     view = look(road, scene)
     now = view.now
-    futures = coasting(
+    futures = constant_velocity_futures(
         now.xy_m[:, -1], now.yaw_rad[:, -1], now.speed_mps[:, -1], now.size_m, steps=8, dt_s=0.5
     )
     lane = lanes_ahead(road, now.xy_m[[row], -1], now.yaw_rad[[row], -1], [()])[0]
@@ -78,7 +78,7 @@ def test_it_is_finite_off_the_lanes_and_without_a_past(downtown: RoadMap, street
     assert (np.abs(found) <= LIMIT).all()
     view = look(downtown, scene)
     now = view.now
-    futures = coasting(
+    futures = constant_velocity_futures(
         now.xy_m[:, -1], now.yaw_rad[:, -1], now.speed_mps[:, -1], now.size_m, steps=8, dt_s=0.5
     )
     assert (observe(downtown, now, futures, 1, None, (0.0, 0.0))[LANE][:6] == 0.0).all()

@@ -14,7 +14,7 @@ from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.tensor_bicycle import step
-from advdiff_sumo.traffic.rl.steer import curvature_span, steered
+from advdiff_sumo.traffic.rl.steer import curvature_span, steered_futures
 
 OPTIONS = ModelOptions()
 STEPS = 6
@@ -57,7 +57,7 @@ def natural(scene: SceneBatch, accel: float = 0.0, curvature: float = 0.0) -> Ro
 
 
 def one(scene: SceneBatch, plan: Rollout, residual: tuple[float, float], row: int = 1) -> Rollout:
-    return steered(plan, scene, torch.tensor([row]), torch.tensor([residual]), OPTIONS)
+    return steered_futures(plan, scene, torch.tensor([row]), torch.tensor([residual]), OPTIONS)
 
 
 @pytest.mark.parametrize(("accel", "curvature"), [(0.0, 0.0), (1.3, 0.02), (-3.0, -0.05)])

@@ -19,7 +19,7 @@ from advdiff_sumo.experiments.judge_folder import open_judging
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision import Collision, collisions, target_collision
-from advdiff_sumo.metrics.encounter import encounter
+from advdiff_sumo.metrics.encounter import encounter_of
 from advdiff_sumo.metrics.reference import MODELS, drive_all
 from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.metrics.verdict import avoids
@@ -66,7 +66,7 @@ def avoiding(
 ) -> Iterator[tuple[float, str]]:
     """Yield each look-back with each model that avoids the collision then, as the verdict says it."""
     view = TrafficView.of_record(record, road)
-    pusher = pushed_by(view, encounter(view, struck), 0)
+    pusher = pushed_by(view, encounter_of(view, struck), 0)
     for lookback_s in lookbacks_s:
         for model, drive in drive_all(record, road, struck, lookback_s=lookback_s).items():
             if avoids(record, struck, drive, pusher):

@@ -15,7 +15,7 @@ from advdiff_sumo.models.gaussian import Gaussian
 from advdiff_sumo.models.losses import masked_mean, reconstruction
 from advdiff_sumo.models.traffic import TrafficModel
 from advdiff_sumo.training.displacement import displacement
-from advdiff_sumo.training.own_samples import both, faults, sample_judge
+from advdiff_sumo.training.own_samples import decoded_pair, faults, sample_judge
 from advdiff_sumo.training.presets import DecoderOptions, ElboOptions
 from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
@@ -93,7 +93,7 @@ class TrafficStage(BundleStage):
         posterior = model.posterior(batch, context.h)
         z = posterior.sample(generator)
         drawn = context.prior.sample(generator).detach()
-        known, free = both(model.decoder, (z, drawn), (context.h, context.h.detach()), batch)
+        known, free = decoded_pair(model.decoder, (z, drawn), (context.h, context.h.detach()), batch)
         encoded = Encoded(context, posterior, known)
         terms = elbo(encoded, batch, options, share)
         wrong = self._judge(free, batch, self.sampled)

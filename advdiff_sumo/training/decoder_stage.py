@@ -23,9 +23,9 @@ from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Decoder, Rollout
 from advdiff_sumo.models.losses import masked_mean, reconstruction
 from advdiff_sumo.training.cvae import known_mean
-from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.denoiser_stage import diffused_samples
 from advdiff_sumo.training.displacement import displacement
-from advdiff_sumo.training.own_samples import both, faults, sample_judge
+from advdiff_sumo.training.own_samples import decoded_pair, faults, sample_judge
 from advdiff_sumo.training.presets import DecoderOptions
 from advdiff_sumo.training.stage import BundleStage, Moment, Tally
 
@@ -60,14 +60,14 @@ class DecoderStage(BundleStage):
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the weighted sum and its terms."""
         context, latents, before = self._latents(batch, moment.generator)
-        known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
+        known, free = decoded_pair(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         return self._terms(known, free, before, batch)
 
     @torch.no_grad()
     def evaluate(self, batch: SceneBatch, generator: torch.Generator) -> Tally:
         """Return the loss, displacement errors of posterior and sample, and the sample's collisions and departures."""
         context, latents, before = self._latents(batch, generator)
-        known, free = both(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
+        known, free = decoded_pair(self.bundle.traffic.decoder, latents, (context.h, context.h), batch)
         terms, weight = self._terms(known, free, before, batch), float(batch.scenes)
         return {
             **{name: (float(value) * weight, weight) for name, value in terms.items()},
@@ -84,7 +84,7 @@ class DecoderStage(BundleStage):
         traffic, codec = self.bundle.traffic, self.bundle.codec
         context = traffic.encoder(batch)
         posterior = traffic.posterior(batch, context.h).sample(generator)
-        scaled = diffused(self.bundle, context, Sampling(self.options.sampling_steps), generator)
+        scaled = diffused_samples(self.bundle, context, Sampling(self.options.sampling_steps), generator)
         drawn = codec.unscale(scaled)[:, :, 0]
         return context, (posterior, drawn), self._began(drawn, context.h, batch)
 

@@ -72,7 +72,7 @@ def judge(bundle: Bundle, batch: SceneBatch, generator: torch.Generator) -> Tall
     schedule = schedule_of(bundle)
     k = spread_steps(batch, schedule)
     loss = noise_loss(bundle.denoiser, x0, context, batch, schedule, k, generator)
-    drawn = diffused(bundle, context, Sampling(_JUDGED_STEPS), generator)
+    drawn = diffused_samples(bundle, context, Sampling(_JUDGED_STEPS), generator)
     tally = displacement(bundle.codec.decode(drawn, context, batch), batch)
     weight = float(batch.scenes)
     return {
@@ -188,7 +188,9 @@ def sample_score(
     return masked_mean((weight * score).flatten(2).mean(-1), modelled(batch))
 
 
-def diffused(bundle: Bundle, context: Context, sampling: Sampling, generator: torch.Generator) -> Tensor:
+def diffused_samples(
+    bundle: Bundle, context: Context, sampling: Sampling, generator: torch.Generator
+) -> Tensor:
     """Return unguided samples x̃⁰ (B, A, C, L) of the denoiser with the settings *sampling*.
 
     The number of steps is at most that of its schedule.

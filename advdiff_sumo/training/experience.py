@@ -16,7 +16,7 @@ from advdiff_sumo.models.decoder import Forced, Rollout
 from advdiff_sumo.models.model_options import FUTURE_STEPS
 from advdiff_sumo.training.adversarial_reward import Payoff, first_steps, payoffs
 from advdiff_sumo.training.dataset import join
-from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.denoiser_stage import diffused_samples
 from advdiff_sumo.training.presets import RewardOptions
 
 
@@ -115,7 +115,7 @@ def random_action(
     rows = torch.nonzero(source == 2).squeeze(1).to(out.device)
     if len(rows):
         sampling = Sampling(options.sampling_steps)
-        out[rows] = diffused(bundle, context.rows(rows), sampling, generator)[:, :, 0]
+        out[rows] = diffused_samples(bundle, context.rows(rows), sampling, generator)[:, :, 0]
     return out
 
 

@@ -20,7 +20,7 @@ from advdiff_sumo.models.losses import masked_mean, off_road, pair_overlap
 from advdiff_sumo.training.cvae import TrafficStage, elbo, encode, kl_share
 from advdiff_sumo.training.denoiser_stage import (
     clean,
-    diffused,
+    diffused_samples,
     judge,
     noise_at,
     noise_loss,
@@ -117,7 +117,7 @@ class JointStage(BundleStage):
             rollout, weight, strayed = self._predicted(_fixed(context), batch, generator)
             return [(rollout, weight)], strayed
         with torch.no_grad():
-            drawn = diffused(self.bundle, context, Sampling(options.sampling_steps), generator)
+            drawn = diffused_samples(self.bundle, context, Sampling(options.sampling_steps), generator)
         return [(self.bundle.codec.decode(drawn, context, batch), 1.0)], unmoved
 
     def _predicted(

@@ -15,7 +15,7 @@ from advdiff_sumo.models.bundle import Bundle
 from advdiff_sumo.models.context import Context
 from advdiff_sumo.models.decoder import Rollout
 from advdiff_sumo.training import realism
-from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.denoiser_stage import diffused_samples
 from advdiff_sumo.training.displacement import displacement, driving_mask
 
 Draw = Callable[[SceneBatch, Context, int, torch.Generator], tuple[Rollout, int]]
@@ -57,7 +57,7 @@ def by_diffusion(bundle: Bundle, steps: int, refine: Refine | None = None) -> Dr
         batch: SceneBatch, context: Context, samples: int, generator: torch.Generator
     ) -> tuple[Rollout, int]:
         known, several = context.repeat(samples), batch.repeat(samples)
-        drawn = diffused(bundle, known, sampling, generator)
+        drawn = diffused_samples(bundle, known, sampling, generator)
         if refine is not None:
             drawn = refine(drawn, known, several, samples)
         return bundle.codec.decode(drawn, known, several), samples

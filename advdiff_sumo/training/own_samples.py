@@ -18,7 +18,7 @@ from advdiff_sumo.training.presets import DecoderOptions
 from advdiff_sumo.training.stage import Tally
 
 
-def both(
+def decoded_pair(
     decoder: Decoder, latents: tuple[Tensor, Tensor], h: tuple[Tensor, Tensor], batch: SceneBatch
 ) -> tuple[Rollout, Rollout]:
     """Return the futures of two sets of latents (B, A, Z) and embeddings (B, A, D), decoded in one pass."""

@@ -16,7 +16,7 @@ from advdiff_sumo.models.bundle import Bundle, load_bundle
 from advdiff_sumo.models.codec import LatentCodec
 from advdiff_sumo.models.collate import collate
 from advdiff_sumo.models.shipped_weights import WEIGHTS, ShippedName, find_weights, shipped_weights
-from advdiff_sumo.training.denoiser_stage import diffused
+from advdiff_sumo.training.denoiser_stage import diffused_samples
 from advdiff_sumo.training.open_loop import sampling_of
 from advdiff_sumo.training.own_samples import faults
 from advdiff_sumo.training.stage import means
@@ -66,7 +66,7 @@ def sampled(name: ShippedName, windows: WindowFile) -> dict[str, float]:
     """Return the faults of one free sample of each window."""
     bundle, batch = load_bundle(shipped_weights(name)).frozen(), collate(windows, np.arange(windows.windows))
     context = bundle.traffic.encoder(batch)
-    drawn = diffused(bundle, context, Sampling(5), torch.Generator().manual_seed(0))
+    drawn = diffused_samples(bundle, context, Sampling(5), torch.Generator().manual_seed(0))
     return means(faults(bundle.codec.decode(drawn, context, batch), batch))
 
 
@@ -85,7 +85,7 @@ def test_free_samples_of_closed_loop_weights_stay_within_two_deviations_and_othe
     for name, seen in (("closed-loop", far_view(windows)), ("traffic", windows)):
         bundle, batch = load_bundle(shipped_weights(name)).frozen(), collate(seen, np.arange(8))
         generator = torch.Generator().manual_seed(0)
-        drawn = diffused(bundle, bundle.traffic.encoder(batch), sampling_of(bundle, 5), generator)
+        drawn = diffused_samples(bundle, bundle.traffic.encoder(batch), sampling_of(bundle, 5), generator)
         largest.append(float(drawn.abs().max()))
     assert largest[0] <= 2.0 < largest[1]
 

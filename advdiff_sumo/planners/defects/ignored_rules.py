@@ -14,7 +14,7 @@ from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.signal_letters import PLAIN_RED, PROTECTED_GREEN, RED, YELLOW
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, with_states
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_mask, with_states
 
 
 class IgnoredSignals(PlantedFault):
@@ -55,7 +55,7 @@ class IgnoredPriority(PlantedFault):
         lanes, *_ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         foes = [lane is not None and bool(foe_requests & _requests_from(road, lane)) for lane in lanes]
         is_drawn = [chance(seed, "priority", agent_id) < self.value for agent_id in history.ids]
-        return scene.without(np.array(foes) & np.array(is_drawn) & others_of(scene)), memory
+        return scene.without(np.array(foes) & np.array(is_drawn) & others_mask(scene)), memory
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class IgnoredCutIns(PlantedFault):
         changes: dict[str, _Change] = {}
         lanes, s, d, _ = road.locate_many(history.xy_m[:, -1], history.yaw_rad[:, -1])
         xy, yaw = history.xy_m.copy(), history.yaw_rad.copy()
-        rows = others_of(scene) & (history.classes != AgentClass.PEDESTRIAN)
+        rows = others_mask(scene) & (history.classes != AgentClass.PEDESTRIAN)
         for row, agent_id in enumerate(history.ids):
             lane = lanes[row]
             if lane is None or not rows[row] or _off_lane(road.lanes[lane], float(d[row])):

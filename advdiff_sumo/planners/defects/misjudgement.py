@@ -17,7 +17,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects.planted_fault import (
     PlantedFault,
     ages_s,
-    others_of,
+    others_mask,
     seen_from_target,
     with_states,
 )
@@ -47,7 +47,7 @@ class FrozenPrediction(Misjudgement):
         history, share = scene.history, 1.0 - self.value
         present = history.xy_m[:, -1:]
         xy = present + share * (history.xy_m - present)
-        return with_states(scene, others_of(scene), xy, None, share * history.speed_mps)
+        return with_states(scene, others_mask(scene), xy, None, share * history.speed_mps)
 
 
 class SpeedBias(Misjudgement):
@@ -58,7 +58,7 @@ class SpeedBias(Misjudgement):
         history = scene.history
         shift = self.value * ages_s(history)[None, :, None] * unit(history.yaw_rad)
         speed = history.speed_mps + self.value
-        return with_states(scene, others_of(scene), history.xy_m - shift, None, speed)
+        return with_states(scene, others_mask(scene), history.xy_m - shift, None, speed)
 
 
 class PositionBias(Misjudgement):
@@ -67,7 +67,7 @@ class PositionBias(Misjudgement):
     def believed(self, scene: Scene) -> Scene:
         """Return *scene* with the others displaced."""
         xy = scene.history.xy_m + self.value * _left(scene)
-        return with_states(scene, others_of(scene), xy)
+        return with_states(scene, others_mask(scene), xy)
 
 
 class LocalisationOffset(Misjudgement):
@@ -97,7 +97,7 @@ class ShortHeadway(Misjudgement):
         is_leader = in_corridor & (np.abs(heading) < _SAME_HEADING_RAD)
         shift_m = self.value * max(float(history.speed_mps[scene.target, -1]), 0.0)
         xy = history.xy_m + shift_m * unit(history.yaw_rad[:, -1:])
-        return with_states(scene, others_of(scene) & is_leader, xy)
+        return with_states(scene, others_mask(scene) & is_leader, xy)
 
 
 def _left(scene: Scene) -> FloatArray:

@@ -41,7 +41,7 @@ class PlantedFault:
         return plan, memory
 
 
-def others_of(scene: Scene) -> BoolArray:
+def others_mask(scene: Scene) -> BoolArray:
     """Return (A,) True for every agent except the target."""
     return np.asarray(np.arange(scene.history.agents) != scene.target)
 

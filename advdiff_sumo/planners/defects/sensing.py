@@ -13,7 +13,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_of, seen_from_target
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_mask, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
 _UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE, AgentClass.PEDESTRIAN)
@@ -25,7 +25,7 @@ class Blindness(PlantedFault, ABC):
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
         """Return *scene* without the hidden road users."""
         del road, seed
-        return scene.without(self.hidden(scene) & others_of(scene)), memory
+        return scene.without(self.hidden(scene) & others_mask(scene)), memory
 
     @abstractmethod
     def hidden(self, scene: Scene) -> BoolArray:
@@ -57,7 +57,7 @@ class Flicker(PlantedFault):
         del road
         instant = f"{scene.time_s:.3f}"
         missed = np.array([chance(seed, agent_id, instant) < self.value for agent_id in scene.history.ids])
-        return scene.without(missed & others_of(scene)), memory
+        return scene.without(missed & others_mask(scene)), memory
 
 
 class Dropout(PlantedFault):
@@ -68,7 +68,7 @@ class Dropout(PlantedFault):
         del road
         phase = np.array([chance(seed, agent_id) for agent_id in scene.history.ids])
         lost = (scene.time_s + DROPOUT_PERIOD_S * phase) % DROPOUT_PERIOD_S < self.value
-        return scene.without(lost & others_of(scene)), memory
+        return scene.without(lost & others_mask(scene)), memory
 
 
 class BlindToCrossing(Blindness):

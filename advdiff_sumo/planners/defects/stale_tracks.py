@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, others_of, with_states
+from advdiff_sumo.planners.defects.planted_fault import PlantedFault, others_mask, with_states
 
 _SLACK_S = 1e-6
 
@@ -45,7 +45,7 @@ class Late(PlantedFault):
             track = past.states.get(agent_id)
             if track is not None:
                 xy[row], yaw[row], speed[row], valid[row] = _states_at(track, times_s)
-        rows = others_of(scene)
+        rows = others_mask(scene)
         late = with_states(scene, rows, xy, yaw, speed)
         is_seen = np.where(rows[:, None], valid, history.valid)
         late = replace(late, history=replace(late.history, valid=is_seen))
@@ -71,7 +71,7 @@ class ConstantVelocity(PlantedFault):
             xy[row], yaw[row], speed[row], _ = _states_at(track, times_s)
             driven_m = speed[row] * (history.times_s - times_s)
             xy[row] += driven_m[:, None] * unit(yaw[row])
-        believed = with_states(scene, others_of(scene), xy, yaw, speed)
+        believed = with_states(scene, others_mask(scene), xy, yaw, speed)
         return replace(believed, history=believed.history.where(history.valid)), past
 
 

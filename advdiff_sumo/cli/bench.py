@@ -1,4 +1,4 @@
-"""``advdiff-sumo bench``: the paper's tables out of our own runs."""
+"""``advdiff-sumo bench``: the paper's tables, computed from our own runs."""
 
 from __future__ import annotations
 
@@ -209,9 +209,15 @@ def run_or_print(
     given: dict[str, Any],
     as_json: bool = False,
 ) -> None:
-    """Run a bench, or print it where it is finished; names with commas between them are taken apart.
+    """Run a bench and print its table; print only the table if the bench is finished.
 
-    *as_json*, of ``defects``: one object is printed and nothing else.
+    Args:
+        name: the bench.
+        out: its folder; None: ``runs/bench-NAME``.
+        workers: number of worker processes; None: one per core.
+        timeout_s: longest time for one episode.
+        given: options of the command line; None: not given. Policies, targets and defects may be texts with commas.
+        as_json: print one JSON object and nothing else; for ``defects`` only.
     """
     one_thread_for_good()
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_bench, request_of
@@ -222,33 +228,33 @@ def run_or_print(
     end_as_by_ctrl_c()
     console = terminal(quiet=as_json)
     path = (out or FOLDER / f"bench-{name}").resolve()
-    named = {option: _names_of(given.get(option)) for option in ("policies", "targets", "defects")}
-    scenes, usual = _of_log(given.get("scenes"))
-    request = request_of(name, path, {**DEFAULTS[name], **usual}, given | named | {"scenes": scenes})
-    _tell_changed(Folder(path, request))
+    names = {option: _split_names(given.get(option)) for option in ("policies", "targets", "defects")}
+    scenes, log_defaults = _log_path_and_defaults(given.get("scenes"))
+    request = request_of(name, path, {**DEFAULTS[name], **log_defaults}, given | names | {"scenes": scenes})
+    _print_changed_code(Folder(path, request))
     table = finished_table(Folder(path, request))
-    said: list[str] = []
+    printed: list[str] = []
     if table is None:
         check_request(request)
         folder = open_bench(path, request)
         with ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
             with Bars(console) as bars:
-                table, said = run_bench(folder, workers or cores(), limits, bars), bars.said
+                table, printed = run_bench(folder, workers or cores(), limits, bars), bars.said
     if as_json:
         from advdiff_sumo.experiments.bench.defects_object import defects_object  # late, as above
 
         print_json(defects_object(path, table))
         return
-    print_table(console, table, said)
+    print_table(console, table, printed)
     files = "table.csv, table.tex, table.md, table.png"
     if name == "defects":
         files += ", detections.csv, first_detection.csv, by_stratum.csv, findings.csv"
     console.print(f"{files}: {path}", soft_wrap=True)
 
 
-def _tell_changed(folder: Folder) -> None:
-    """Say of which planners and policies the code is not that of the episodes which are in *folder* already."""
+def _print_changed_code(folder: Folder) -> None:
+    """Print which planners and policies have changed since the episodes in *folder* were run."""
     from advdiff_sumo.core.plug_in_source import code_digests  # late, as above
     from advdiff_sumo.experiments.bench.cells import made_by
 
@@ -257,8 +263,11 @@ def _tell_changed(folder: Folder) -> None:
     )
 
 
-def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
-    """Return *scenes*, of a driving log its full path, and what a bench from a log has for usual options."""
+def _log_path_and_defaults(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
+    """Return *scenes* and the default options of a bench from a driving log.
+
+    If *scenes* is a driving log, its absolute path is returned; otherwise there are no such defaults.
+    """
     from advdiff_sumo.experiments.bench.requested_scenes import LOG_HORIZON_S, is_log
 
     if scenes is None or not is_log(scenes):
@@ -266,11 +275,11 @@ def _of_log(scenes: str | None) -> tuple[str | None, dict[str, Any]]:
     return str(Path(scenes).resolve()), {"horizon_s": LOG_HORIZON_S}
 
 
-def _names_of(text: str | list[str] | None) -> list[str] | None:
-    """Return the names in *text*, which has commas between them.
+def _split_names(text: str | list[str] | None) -> list[str] | None:
+    """Return the names in *text*, which are separated by commas; a list, or None, is returned as it is.
 
     Raises:
-        ConfigError: one is empty.
+        ConfigError: a name is empty.
     """
     if text is None or isinstance(text, list):
         return text

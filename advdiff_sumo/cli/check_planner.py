@@ -1,4 +1,4 @@
-"""``advdiff-sumo check-planner``: whether a planner keeps its contract."""
+"""``advdiff-sumo check-planner``: check that a planner fulfils its contract."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def check_planner(
     """
     end_as_by_ctrl_c()
     one_thread_for_good()
-    from advdiff_sumo.experiments.target_trial import Extent, check_in_worker  # late: --help needs none of it
+    from advdiff_sumo.experiments.target_trial import Extent, check_in_worker  # late: not for --help
 
     options: dict[str, Any] = {"defects": defect} if defect else {}
     for assignment in assign or ():

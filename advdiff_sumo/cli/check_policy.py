@@ -1,4 +1,4 @@
-"""``advdiff-sumo check-policy``: whether a background policy keeps its contract."""
+"""``advdiff-sumo check-policy``: check that a background policy fulfils its contract."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def check_policy(
     """
     end_as_by_ctrl_c()
     one_thread_for_good()
-    from advdiff_sumo.experiments.check_results import checked_in_worker  # late: --help needs none of it
+    from advdiff_sumo.experiments.check_results import checked_in_worker  # late: not for --help
     from advdiff_sumo.experiments.policy_trial import check_background
 
-    _must_be_of_run(assign or [])
+    _check_run_options(assign or [])
     given: dict[str, Any] = {"background": name, "net": net, "episodes": episodes, "seed": seed}
     given |= {"horizon_s": horizon, "scene": {"scenes_per_warmup": episodes}}
     given |= {"sim": {"record_natural": False, "record_plans": 0}}
@@ -62,8 +62,12 @@ def check_policy(
     tell_checks(name, verdicts)
 
 
-def _must_be_of_run(assignments: list[str]) -> None:
-    """Refuse an option of the policy that is given as if it were one of the run."""
+def _check_run_options(assignments: list[str]) -> None:
+    """Check that each of *assignments* sets an option of ``run``.
+
+    Raises:
+        ConfigError: ``run`` has no such option; it may be one of the policy.
+    """
     from advdiff_sumo.sim.run_episodes import RunOptions  # late, as above
 
     for assignment in assignments:

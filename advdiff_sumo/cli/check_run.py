@@ -1,4 +1,4 @@
-"""What ``run --check`` prints: which background vehicle did what."""
+"""Output of ``run --check``: implausible behaviour of background vehicles."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from advdiff_sumo.report.stored_record import stored_record
 
 
 def print_check(console: Console, folder: Path, road: RoadMap) -> None:
-    """Print what background vehicles that the policy moved did in the run in *folder*."""
+    """Print the implausible behaviour of vehicles moved by the policy in the run in *folder*, on the net *road*."""
     states = RunTables(folder).rows("states")
     findings: list[tuple[int, Implausibility]] = []
-    driven = 0
+    moved = 0
     episodes = np.asarray(states["episode"].to_numpy(), dtype=np.int64)
     for number in np.unique(episodes).tolist():
         record = stored_record(states.filter(pa.array(episodes == number)))
         if record is not None:
-            driven += int((record.controller == Controller.POLICY).any(axis=1).sum())
+            moved += int((record.controller == Controller.POLICY).any(axis=1).sum())
             findings += [(number, x) for x in implausibilities(record, road)]
     if findings:
         console.print(_table(findings))
     vehicles = len({(number, x.vehicle) for number, x in findings})
-    console.print(f"check: {vehicles} of {driven} vehicles that the policy moved did something implausible")
+    console.print(f"check: {vehicles} of {moved} vehicles that the policy moved did something implausible")
     rows = RunTables(folder).rows("episodes")
     changed, plans = (int(np.nansum(rows[name].to_numpy())) for name in ("safeguarded_plans", "moved_plans"))
     if plans:

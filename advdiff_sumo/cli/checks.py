@@ -1,4 +1,4 @@
-"""What ``advdiff-sumo doctor`` looks at: each check says what it found and, if something is wrong, what to do."""
+"""The checks of ``advdiff-sumo doctor``: each returns findings and, if something is wrong, a remedy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "shapely", "pyproj", "pyarrow", "torch", "pydantic", "typer", "matplotlib")
 SUMO_PACKAGES = ("eclipse-sumo", "libsumo", "sumolib")
-NEEDED_BINARIES, WELCOME_BINARIES = ("sumo", "netconvert"), ("sumo-gui",)
+NEEDED_BINARIES, OPTIONAL_BINARIES = ("sumo", "netconvert"), ("sumo-gui",)
 EXTRAS = {
     "sql": ("duckdb",),
     "pandas": ("pandas",),
@@ -32,7 +32,7 @@ _INSTALL_AGAIN = "install the package again: pip install -c constraints.txt -e .
 
 
 class CheckState(StrEnum):
-    """How a check came out."""
+    """Result of a check."""
 
     OK = "ok"
     NOTE = "note"
@@ -44,10 +44,10 @@ class CheckFinding:
     """One line of the doctor's table.
 
     Attributes:
-        topic: what was looked at.
-        state: ok, note (something optional is not there) or problem.
+        topic: what was checked.
+        state: ok, note (something optional is missing) or problem.
         text: what was found.
-        hint: what to do; "" when nothing needs doing.
+        hint: remedy; "" if none is needed.
     """
 
     topic: str
@@ -57,16 +57,16 @@ class CheckFinding:
 
 
 def python() -> Iterator[CheckFinding]:
-    """Look at Python, the machine and the libraries that everything needs."""
+    """Check Python, the machine and the required libraries."""
     from advdiff_sumo import __version__  # late: the commands start faster
 
     yield CheckFinding("advdiff-sumo", CheckState.OK, f"{__version__}, Python {platform.python_version()}")
     yield CheckFinding("machine", CheckState.OK, f"{platform.platform()}, {os.cpu_count()} cores")
     versions = {name: _version(name) for name in PACKAGES}
-    lacking = [name for name, number in versions.items() if number is None]
-    if lacking:
+    missing = [name for name, number in versions.items() if number is None]
+    if missing:
         yield CheckFinding(
-            "libraries", CheckState.PROBLEM, f"{', '.join(lacking)} not installed", _INSTALL_AGAIN
+            "libraries", CheckState.PROBLEM, f"{', '.join(missing)} not installed", _INSTALL_AGAIN
         )
     else:
         yield CheckFinding(
@@ -75,7 +75,7 @@ def python() -> Iterator[CheckFinding]:
 
 
 def sumo() -> Iterator[CheckFinding]:
-    """Look at SUMO's packages, which must be of one version, and its programs."""
+    """Check SUMO's packages, which must have the same version, and its programs."""
     versions = {name: _version(name) for name in SUMO_PACKAGES}
     text = ", ".join(f"{name} {number or 'not installed'}" for name, number in versions.items())
     if None in versions.values():
@@ -85,7 +85,7 @@ def sumo() -> Iterator[CheckFinding]:
         yield CheckFinding("SUMO", CheckState.PROBLEM, text, "install all three in one version")
     else:
         yield CheckFinding("SUMO", CheckState.OK, text)
-    for name in (*NEEDED_BINARIES, *WELCOME_BINARIES):
+    for name in (*NEEDED_BINARIES, *OPTIONAL_BINARIES):
         yield _binary(name)
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         yield CheckFinding(
@@ -94,13 +94,13 @@ def sumo() -> Iterator[CheckFinding]:
 
 
 def _binary(name: str) -> CheckFinding:
-    """Run SUMO's program *name* for its version."""
+    """Run SUMO's program *name* to get its version, and return the finding."""
     import sumolib  # late, as above
 
     needed = name in NEEDED_BINARIES
     try:
         path = sumolib.checkBinary(name)
-        done = subprocess.run([path, "--version"], capture_output=True, text=True, check=False, timeout=60)
+        result = subprocess.run([path, "--version"], capture_output=True, text=True, check=False, timeout=60)
     except (OSError, SystemExit, subprocess.TimeoutExpired) as error:
         return CheckFinding(
             name,
@@ -108,17 +108,17 @@ def _binary(name: str) -> CheckFinding:
             f"does not start ({error})",
             _INSTALL_AGAIN,
         )
-    if done.returncode != 0:
-        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+    if result.returncode != 0:
+        reason = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
         remedy = "install the system libraries that it names" if not needed else _INSTALL_AGAIN
         return CheckFinding(
             name, CheckState.PROBLEM if needed else CheckState.NOTE, f"does not start: {reason}", remedy
         )
-    return CheckFinding(name, CheckState.OK, f"{done.stdout.splitlines()[0]}, {path}")
+    return CheckFinding(name, CheckState.OK, f"{result.stdout.splitlines()[0]}, {path}")
 
 
 def gpu() -> Iterator[CheckFinding]:
-    """Look for a GPU; without one everything works, learning slowly."""
+    """Check for a GPU. It is optional, but training is slow without one."""
     try:
         import torch  # late, as above
     except (ImportError, OSError) as error:
@@ -133,7 +133,7 @@ def gpu() -> Iterator[CheckFinding]:
 
 
 def nets() -> Iterator[CheckFinding]:
-    """Look for the shipped nets."""
+    """Check that the shipped nets are present."""
     from advdiff_sumo.core.errors import FileError  # late, as above
     from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, shipped_networks
 
@@ -142,15 +142,15 @@ def nets() -> Iterator[CheckFinding]:
     except FileError as error:
         yield CheckFinding("nets", CheckState.PROBLEM, str(error), _INSTALL_AGAIN)
         return
-    lacking = [name for name in NETS_BY_NAME if not (folder / f"{name}.net.xml").is_file()]
-    if lacking:
-        yield CheckFinding("nets", CheckState.PROBLEM, f"{folder} lacks {', '.join(lacking)}", _INSTALL_AGAIN)
+    missing = [name for name in NETS_BY_NAME if not (folder / f"{name}.net.xml").is_file()]
+    if missing:
+        yield CheckFinding("nets", CheckState.PROBLEM, f"{folder} lacks {', '.join(missing)}", _INSTALL_AGAIN)
     else:
         yield CheckFinding("nets", CheckState.OK, f"{', '.join(NETS_BY_NAME)} in {folder}")
 
 
 def weights() -> Iterator[CheckFinding]:
-    """Look for trained weights that came with the package."""
+    """Check for the trained weights that are part of the package."""
     import advdiff_sumo  # late, as above
 
     folder = Path(advdiff_sumo.__file__).resolve().parent / "weights"
@@ -163,7 +163,7 @@ def weights() -> Iterator[CheckFinding]:
 
 
 def loops() -> Iterator[CheckFinding]:
-    """Look whether the machine code of the networks that came with the package is for this machine."""
+    """Check whether the machine code of the networks in the package runs on this machine."""
     from advdiff_sumo.diffusion.attack import costs_package  # late, as above
     from advdiff_sumo.diffusion.machine_code import runs_here
 
@@ -178,21 +178,22 @@ def loops() -> Iterator[CheckFinding]:
 
 
 def data() -> Iterator[CheckFinding]:
-    """Look for driving logs where ADVDIFF_DATA says."""
-    named = os.environ.get("ADVDIFF_DATA")
-    if not named:
+    """Check for driving logs in the folder that the variable ADVDIFF_DATA names."""
+    setting = os.environ.get("ADVDIFF_DATA")
+    if not setting:
         hint = "logs are optional; the tests find theirs through ADVDIFF_DATA=FOLDER, runs through --scenes"
         yield CheckFinding("data", CheckState.NOTE, "ADVDIFF_DATA is not set", hint)
         return
-    root = Path(named)
+    root = Path(setting)
     if not root.is_dir():
         yield CheckFinding(
-            "data", CheckState.PROBLEM, f"ADVDIFF_DATA={named} is no folder", "correct it or unset it"
+            "data", CheckState.PROBLEM, f"ADVDIFF_DATA={setting} is no folder", "correct it or unset it"
         )
         return
-    tables = sorted({path.parent for at in ("v1.0-*", "*/v1.0-*") for path in root.glob(at) if path.is_dir()})
-    maps = sorted({path.parent for at in ("", "*/") for path in root.glob(f"{at}maps/expansion/*.json")})
-    records = sum(1 for at in ("", "*/") for _ in root.glob(f"{at}sd_*.pkl"))
+    patterns = ("v1.0-*", "*/v1.0-*")
+    tables = sorted({path.parent for glob in patterns for path in root.glob(glob) if path.is_dir()})
+    maps = sorted({path.parent for top in ("", "*/") for path in root.glob(f"{top}maps/expansion/*.json")})
+    records = sum(1 for top in ("", "*/") for _ in root.glob(f"{top}sd_*.pkl"))
     kinds = [f"nuScenes tables in {path}" for path in tables] + [f"HD maps in {path}" for path in maps]
     if records:
         kinds.append(f"{records} ScenarioNet records")
@@ -204,25 +205,25 @@ def data() -> Iterator[CheckFinding]:
 
 
 def extras() -> Iterator[CheckFinding]:
-    """Look for the optional packages."""
+    """Check for the optional packages."""
     for extra, names in EXTRAS.items():
-        lacking = [name for name in names if _version(name) is None]
-        if lacking:
+        missing = [name for name in names if _version(name) is None]
+        if missing:
             hint = f"pip install 'advdiff-sumo[{extra}]'"
-            yield CheckFinding(f"extra {extra}", CheckState.NOTE, f"{', '.join(lacking)} not installed", hint)
+            yield CheckFinding(f"extra {extra}", CheckState.NOTE, f"{', '.join(missing)} not installed", hint)
         else:
             numbers = ", ".join(f"{name} {_version(name)}" for name in names)
             yield CheckFinding(f"extra {extra}", CheckState.OK, numbers)
 
 
 def self_test() -> Iterator[CheckFinding]:
-    """Drive one episode in a process of its own, so that even a crash of SUMO is only a finding."""
+    """Run one episode in a separate process, so that even a crash of SUMO results in a finding."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "advdiff_sumo", "run", "--out", str(Path(folder) / "run")]
         command += ["--episodes", "1", "--horizon", str(SELF_TEST_S), "--set", "scene.warmup_s=10"]
         command += ["--set", "scene.scenes_per_warmup=1", "--set", "scene.min_neighbours=1"]
         try:
-            done = subprocess.run(
+            result = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=_SELF_TEST_LIMIT_S
             )
         except subprocess.TimeoutExpired:
@@ -230,17 +231,16 @@ def self_test() -> Iterator[CheckFinding]:
             text = f"not done after {_SELF_TEST_LIMIT_S} s"
             yield CheckFinding("self-test", CheckState.PROBLEM, text, hint)
             return
-        yield _driven(Path(folder) / "run", done)
+        yield _self_test_finding(Path(folder) / "run", result)
 
 
-def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> CheckFinding:
-    """Return what the self-test came to."""
-    if done.returncode != 0:
-        reason = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
-        killed = (
-            f"killed by signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
-        )
-        return CheckFinding("self-test", CheckState.PROBLEM, f"{killed}: {reason}", _INSTALL_AGAIN)
+def _self_test_finding(folder: Path, result: subprocess.CompletedProcess[str]) -> CheckFinding:
+    """Return the finding of the self-test, whose run is in *folder* and whose process ended with *result*."""
+    code = result.returncode
+    if code != 0:
+        reason = (result.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        end = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+        return CheckFinding("self-test", CheckState.PROBLEM, f"{end}: {reason}", _INSTALL_AGAIN)
     import pyarrow.parquet as pq  # late, as above
 
     row = pq.read_table(folder / "episodes.parquet").to_pylist()[0]
@@ -253,7 +253,7 @@ def _driven(folder: Path, done: subprocess.CompletedProcess[str]) -> CheckFindin
     return CheckFinding("self-test", CheckState.OK, f"{text}{timing['real_time_factor']:.1f} × real time")
 
 
-#: All checks in the order of the table; the last one takes seconds.
+#: All checks in the order of the table; the self-test takes several seconds.
 CHECKS: tuple[Callable[[], Iterator[CheckFinding]], ...] = (
     *(python, sumo, gpu, nets, weights, loops, data, extras, self_test),
 )

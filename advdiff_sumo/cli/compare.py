@@ -1,4 +1,4 @@
-"""``advdiff-sumo compare``."""
+"""``advdiff-sumo compare``: compare two runs or sweeps episode by episode."""
 
 from __future__ import annotations
 
@@ -20,12 +20,19 @@ from advdiff_sumo.core.wording import counted
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.paired import Comparison
 
-_SHOWN = 8
+_LISTED_EPISODES = 8
 
 
 @dataclass(frozen=True)
 class _Side:
-    """One of the two that are compared: its letter, its folder, what of it, and whether it is a run."""
+    """One side of the comparison.
+
+    Attributes:
+        letter: A or B.
+        folder: its run or sweep.
+        conditions: COLUMN=VALUE, which select episodes.
+        of_run: whether the folder holds a run; else a sweep.
+    """
 
     letter: str
     folder: Path
@@ -36,7 +43,7 @@ class _Side:
         return f"{self.letter}: {' · '.join((str(self.folder), *self.conditions))}"
 
     def repeat(self, number: int) -> str:
-        """Return the command that repeats an episode."""
+        """Return the command that repeats episode *number*."""
         option = "--run" if self.of_run else "--sweep"
         return f"advdiff-sumo replay {number} {option} {shlex.quote(str(self.folder))}"
 
@@ -72,38 +79,42 @@ def compare(
     from advdiff_sumo.sweep.paired import compare as paired
 
     condition = None if fail_if is None else Condition(fail_if, COMPARED_NAMES)
-    sides, chosen = [], []
+    sides, episodes = [], []
     for letter, folder, conditions in (("A", first, choose_a or []), ("B", second, choose_b or [])):
-        found = rows_of_folder(folder)
-        chosen.append(choose(found.episodes, conditions, f"--{letter.lower()}"))
-        sides.append(_Side(letter, folder, conditions, found.of_run))
-    comparison = paired(chosen[0], chosen[1])
+        rows = rows_of_folder(folder)
+        episodes.append(choose(rows.episodes, conditions, f"--{letter.lower()}"))
+        sides.append(_Side(letter, folder, conditions, rows.of_run))
+    comparison = paired(episodes[0], episodes[1])
     console = terminal(quiet=as_json)
     _print(console, comparison, sides)
     if as_json:
-        print_json(_object(comparison))
+        print_json(_json_object(comparison))
     if condition is None:
         return
-    if (met := condition_met(condition, comparison.named())) is not None:
-        console.print(met, style="red", soft_wrap=True)
+    if (sentence := condition_met(condition, comparison.named())) is not None:
+        console.print(sentence, style="red", soft_wrap=True)
         raise typer.Exit(CONDITION_MET)
     if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
-        words = f"note: {_in_no_pair(comparison)}, which --fail-if does not ask about"
-        terminal(stderr=True).print(f'{words}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
+        note = f"note: {_unpaired_text(comparison)}, which --fail-if does not ask about"
+        terminal(stderr=True).print(f'{note}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
 
 
-def _in_no_pair(comparison: Comparison) -> str:
+def _unpaired_text(comparison: Comparison) -> str:
     return f"{counted(comparison.unpaired, 'episode')} failed or without a finished counterpart"
 
 
-def _object(comparison: Comparison) -> dict[str, object]:
-    """Return what ``--json`` prints: the figures of a condition, who failed alone, and means of differences."""
-    alone = {
+def _json_object(comparison: Comparison) -> dict[str, object]:
+    """Return the output of ``--json``.
+
+    It holds the figures that a condition may name, the episodes in which a rate's event happened on one side only,
+    and the means of the differences.
+    """
+    one_sided = {
         label: {"a": list(rate.episodes_a), "b": list(rate.episodes_b)}
         for label, rate in comparison.rates.items()
     }
     values = {name: vars(value) for name, value in comparison.values.items()}
-    return {**dict(sorted(comparison.named().items())), "episodes_alone": alone, "differences": values}
+    return {**dict(sorted(comparison.named().items())), "episodes_alone": one_sided, "differences": values}
 
 
 def _print(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> None:
@@ -111,11 +122,11 @@ def _print(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> 
         console.print(str(side), soft_wrap=True)
     _print_rates(console, comparison)
     _print_values(console, comparison)
-    _print_alone(console, comparison, sides)
+    _print_one_sided(console, comparison, sides)
     if comparison.unpaired:
         a = f"{comparison.unpaired_a} of A ({comparison.failures_a} failed)"
         b = f"{comparison.unpaired_b} of B ({comparison.failures_b} failed)"
-        console.print(f"{_in_no_pair(comparison)}: {a}, {b}", soft_wrap=True)
+        console.print(f"{_unpaired_text(comparison)}: {a}, {b}", soft_wrap=True)
 
 
 def _print_rates(console: Console, comparison: Comparison) -> None:
@@ -148,11 +159,15 @@ def _print_values(console: Console, comparison: Comparison) -> None:
         console.print(values)
 
 
-def _print_alone(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> None:
-    """Say in which episodes the first rate, valid failures where there are verdicts, differs, and what repeats one."""
+def _print_one_sided(console: Console, comparison: Comparison, sides: Sequence[_Side]) -> None:
+    """Print in which episodes the event of the first rate happened on one side only, with a command to repeat one.
+
+    The first rate is that of valid failures if there are verdicts.
+    """
     label, rate = next(iter(comparison.rates.items()))
     for side, numbers in zip(sides, (rate.episodes_a, rate.episodes_b), strict=True):
         if numbers:
-            some = ", ".join(map(str, numbers[:_SHOWN])) + (", …" if len(numbers) > _SHOWN else "")
-            words = f"{label} in {side.letter} alone: episodes {some}; {side.repeat(numbers[0])}"
-            console.print(words, soft_wrap=True)
+            listed = ", ".join(map(str, numbers[:_LISTED_EPISODES]))
+            listed += ", …" if len(numbers) > _LISTED_EPISODES else ""
+            sentence = f"{label} in {side.letter} alone: episodes {listed}; {side.repeat(numbers[0])}"
+            console.print(sentence, soft_wrap=True)

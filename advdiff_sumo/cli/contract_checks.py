@@ -1,4 +1,4 @@
-"""What ``check-planner`` and ``check-policy`` share: options, and how verdicts are told."""
+"""Options and output that ``check-planner`` and ``check-policy`` have in common."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TIMEOUT_S = 900.0
 
 
 def tell_checks(name: str, verdicts: Sequence[CheckResult]) -> None:
-    """Print *verdicts* on what the user calls *name*; leave with 1 where one fails."""
+    """Print *verdicts* on the planner or policy *name*; exit with code 1 if a check fails."""
     console = terminal(highlight=False, soft_wrap=True)
     console.print(findings_table((_STATES[x.ok], x.name, x.detail) for x in verdicts))
     failed = sum(x.ok is False for x in verdicts)

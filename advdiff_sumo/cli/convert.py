@@ -1,4 +1,4 @@
-"""``advdiff-sumo convert``: an HD map becomes a SUMO net."""
+"""``advdiff-sumo convert``: convert an HD map into a SUMO net."""
 
 from __future__ import annotations
 
@@ -123,24 +123,29 @@ def convert(
         _check_word(f"--{name}", word, get_args(ConvertOptions.model_fields[name].annotation))
     options = ConvertOptions.parse(values, "convert")
     for source, net in _jobs(map_file, output, all_of):
-        _say(convert_and_measure(source, net, options), report)
+        _print_conversion(convert_and_measure(source, net, options), report)
 
 
 def _check_word(option: str, word: str, known: Sequence[str]) -> None:
+    """Raise ConfigError unless *word*, the value of *option*, is one of *known*."""
     *others, last = map(repr, known)
     if word not in known:
         raise ConfigError(f"{option} {word}: known are {', '.join(others)} and {last}")
 
 
 def _jobs(map_file: Path | None, output: str | None, all_of: Path | None) -> list[tuple[Path, str | Path]]:
-    """Return (map, net) pairs."""
+    """Return the (map, net) pairs to convert.
+
+    Raises:
+        ConfigError: neither or both of a map and ``--all`` are given, the net has no name, or there are no maps.
+    """
     if (map_file is None) == (all_of is None):
         raise ConfigError("give either one MAP or --all DATAROOT")
     if map_file is not None:
         if output is None:
             raise ConfigError("give the net to be written with -o NAME.net.xml")
         return [(map_file, output)]
-    assert all_of is not None  # noqa: S101 - one of the two was given
+    assert all_of is not None  # noqa: S101 - either the map or --all is given
     maps = sorted((all_of / "maps" / "expansion").glob("*.json"))
     if not maps:
         raise ConfigError(f"{all_of} holds no maps/expansion/*.json; unpack the map expansion v1.3 there")
@@ -148,7 +153,8 @@ def _jobs(map_file: Path | None, output: str | None, all_of: Path | None) -> lis
     return [(path, folder / f"{path.stem}.net.xml") for path in maps]
 
 
-def _say(converted: MeasuredConversion, report: bool) -> None:
+def _print_conversion(converted: MeasuredConversion, report: bool) -> None:
+    """Print how exact a net is, its notes and, with *report*, the path of the fidelity report."""
     result, figures = converted.result, converted.figures
     error = figures["centre_line_error_m"]["source_to_net"]
     lanes, links = figures["lanes"], figures["connections"]
@@ -159,7 +165,7 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
         f"{error['max']} m (largest), {counted(len(figures['netconvert_warnings']), 'kind')} of netconvert warnings"
     )
     if result.streets is not None:
-        _say_streets(figures["streets_beyond_the_rim"], figures["routability"])
+        _print_streets(figures["streets_beyond_the_rim"], figures["routability"])
     paths = result.foot_paths
     if paths is not None and paths.given:
         _console.print(
@@ -177,13 +183,14 @@ def _say(converted: MeasuredConversion, report: bool) -> None:
 
 
 def _links_held(links: dict[str, Any]) -> str:
-    """Return how many links a net holds; a file may state none, so that all are where lanes meet."""
+    """Return how many links a net holds; if the file states none, links are made where lanes meet."""
     if not links["given"]:
         return f"{counted(links['repaired'], 'link')} where lanes meet (it states none)"
     return f"{links['kept']} of its {links['given']} links ({links['repaired']} repaired)"
 
 
-def _say_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:
+def _print_streets(streets: dict[str, Any], routability: dict[str, Any]) -> None:
+    """Print how many streets of the OpenStreetMap extract continue the map, and how routable it is with them."""
     if not streets["streets"]:
         _console.print(
             "note: no street of --osm leads from an end of the map back to it; the net has none of them"

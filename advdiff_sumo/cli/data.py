@@ -1,4 +1,4 @@
-"""``advdiff-sumo data``: training windows out of simulations and driving logs, and what is in them."""
+"""``advdiff-sumo data``: make training windows from simulations and driving logs, and print their statistics."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ data = typer.Typer(
     help="Make training windows (2 s of past, 6 s of future, 2 Hz) and see what is in them.",
     no_args_is_help=True,
 )
-_NAMED = 5  # drives in a note
-_say = terminal(highlight=False, soft_wrap=True)
+_LISTED_DRIVES = 5  # in a note
+_console = terminal(highlight=False, soft_wrap=True)
 _MapView = Annotated[
     MapView,
     typer.Option(help="Map that each vehicle sees: 60 m around, or what it may drive in 6 s, too."),
@@ -83,22 +83,22 @@ def simulate(
 
 
 def _simulate(options: SimulateOptions, out: Path, workers: int) -> None:
-    """Make the windows behind a bar, and say how many there are."""
+    """Make the windows with a progress bar, and print how many there are."""
     from advdiff_sumo.sim.training_windows.simulate import plan, simulate
 
     with progress_bar(terminal(stderr=True)) as progress:
         task = progress.add_task("windows", total=options.windows)
 
-        def tell(result: ShardResult) -> None:
+        def show(result: ShardResult) -> None:
             progress.update(task, advance=result.windows)
             if result.problem:
                 progress.console.print(f"note: {result.problem}")
 
-        results = simulate(plan(options), out, workers, tell)
+        results = simulate(plan(options), out, workers, show)
     total = sum(result.windows for result in results)
-    _say.print(f"{out}: {counted(total, 'window')} in {counted(len(results), 'file')}")
+    _console.print(f"{out}: {counted(total, 'window')} in {counted(len(results), 'file')}")
     if total < options.windows:
-        _say.print("note: traffic on small nets brought fewer windows than asked for")
+        _console.print("note: traffic on small nets brought fewer windows than asked for")
 
 
 @data.command()
@@ -147,7 +147,7 @@ def build(
     from advdiff_sumo.maps.shipped_nets import find_net
     from advdiff_sumo.sim.training_windows.log_nets import LogNets
     from advdiff_sumo.sim.training_windows.log_windows import BuildOptions
-    from advdiff_sumo.sim.training_windows.log_windows import build as built
+    from advdiff_sumo.sim.training_windows.log_windows import build as build_windows
 
     is_file = _is_window_file(out)
     if abs(2.0 * stride - round(2.0 * stride)) > 1e-9:
@@ -158,16 +158,16 @@ def build(
     options = BuildOptions(stride, not ego_only, split, challenge, map_view)
     with progress_bar(terminal(stderr=True), transient=True) as progress:
         task = progress.add_task("drives", total=None)
-        counts = built(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
+        counts = build_windows(readers, nets, options, out, lambda *_: progress.update(task, advance=1))
         progress.update(task, total=progress.tasks[task].completed)
     _print_counts(counts)
 
 
 def _is_window_file(out: Path) -> bool:
-    """Return whether *out* names a window file; else a folder.
+    """Return whether *out* names a window file; otherwise it names a folder.
 
     Raises:
-        ConfigError: it is the other thing already.
+        ConfigError: *out* names a file but is a folder, or vice versa.
     """
     is_file = out.suffix == ".safetensors"
     if out.is_dir() if is_file else out.is_file():
@@ -176,14 +176,15 @@ def _is_window_file(out: Path) -> bool:
 
 
 def _print_counts(counts: Built) -> None:
+    """Print how many windows were made, and which drives have none and why."""
     for path, count in counts.files.items():
-        _say.print(f"{path}: {counted(count, 'window')}")
+        _console.print(f"{path}: {counted(count, 'window')}")
     left_out: dict[str, list[str]] = {}
-    for one in counts.skipped:
-        left_out.setdefault(one.reason, []).append(one.drive)
+    for skipped in counts.skipped:
+        left_out.setdefault(skipped.reason, []).append(skipped.drive)
     for reason, drives in left_out.items():
-        names = ", ".join(drives[:_NAMED]) + (", …" if len(drives) > _NAMED else "")
-        _say.print(f"note: no windows of {counted(len(drives), 'drive')} ({names}): {reason}")
+        names = ", ".join(drives[:_LISTED_DRIVES]) + (", …" if len(drives) > _LISTED_DRIVES else "")
+        _console.print(f"note: no windows of {counted(len(drives), 'drive')} ({names}): {reason}")
 
 
 @data.command()

@@ -1,4 +1,4 @@
-"""``advdiff-sumo defects``: what a user's own test can see of faults in a planner."""
+"""``advdiff-sumo defects``: measure which planted defects of a planner a background detects."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def defects(
     """
     if not target.strip():
         raise ConfigError("--target is empty; name a planner, such as lane_graph")
-    words = (target, *(re.split(r"[/\\]", one)[-1].split(".")[0] for one in net or ()))
-    name = "-".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
+    parts = (target, *(re.split(r"[/\\]", path)[-1].split(".")[0] for path in net or ()))
+    folder_name = "-".join(re.sub(r"[^\w.-]+", "-", part) for part in parts)
     given: dict[str, Any] = {
         "scenes": scenes,
         "policies": background or ["sumo"],
@@ -98,13 +98,13 @@ def defects(
         "severity": severity,
         "horizon_s": horizon,
         "licence": licence,
-        **_episodes(net or [], assign or []),
+        **_nets_and_options(net or [], assign or []),
     }
-    run_or_print("defects", out or FOLDER / f"defects-{name}", workers, timeout, given, as_json)
+    run_or_print("defects", out or FOLDER / f"defects-{folder_name}", workers, timeout, given, as_json)
 
 
-def _episodes(nets: list[str], assignments: list[str]) -> dict[str, Any]:
-    """Return what is given of nets and of options of the episodes, files by their full paths."""
+def _nets_and_options(nets: list[str], assignments: list[str]) -> dict[str, Any]:
+    """Return the given nets and options of the episodes, with absolute paths of files; None: not given."""
     from advdiff_sumo.maps.shipped_nets import net_name  # late: --help needs no maps
 
     options: dict[str, Any] = {}
@@ -112,5 +112,5 @@ def _episodes(nets: list[str], assignments: list[str]) -> dict[str, Any]:
         set_dotted(options, assignment)
     if isinstance(options.get("demand"), str):
         options["demand"] = str(Path(options["demand"]).resolve())
-    named = list(dict.fromkeys(net_name(net) for net in nets))
-    return {"nets": named or None, "options": options or None}
+    names = list(dict.fromkeys(net_name(net) for net in nets))
+    return {"nets": names or None, "options": options or None}

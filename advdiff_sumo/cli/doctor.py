@@ -1,4 +1,4 @@
-"""``advdiff-sumo doctor``: what is installed, what is missing, and whether it drives."""
+"""``advdiff-sumo doctor``: check the installation and run a short self-test."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def doctor(
 
     A note is about something optional; a problem keeps runs from working. Both come with what to do.
     """
-    from advdiff_sumo.cli.checks import (  # late: --help needs none of it
+    from advdiff_sumo.cli.checks import (  # late: not for --help
         CHECKS,
         CheckFinding,
         CheckState,
@@ -33,9 +33,10 @@ def doctor(
     for check in CHECKS:
         if not (quick and check is self_test):
             findings.extend(check())
-    console.print(
-        findings_table((Text(one.state, _STYLES[one.state]), one.topic, one.text) for one in findings)
+    rows = (
+        (Text(finding.state, _STYLES[finding.state]), finding.topic, finding.text) for finding in findings
     )
+    console.print(findings_table(rows))
     for finding in findings:
         if finding.hint:
             console.print(Text(f"{finding.topic}: {finding.hint}", style=_STYLES[finding.state]))

@@ -1,4 +1,4 @@
-"""``advdiff-sumo evaluate``, and the table that ``train`` ends with."""
+"""``advdiff-sumo evaluate``: judge weights on window files; also prints the table at the end of ``train``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HEADS = {
     "off_road_rate": "off\nroad",
     "standing_rate": "stand",
 }
-_WIDTH = 128
+_TABLE_WIDTH = 128
 
 if TYPE_CHECKING:
     import torch
@@ -67,21 +67,25 @@ def evaluate(
 
     flags.use_threads(threads)
     bundle = load_bundle(weights_file(weights))
-    chosen = read_window_set(data)
+    window_set = read_window_set(data)
     if not everything:
-        chosen = split(chosen, held_out, split_seed)[1]
+        window_set = split(window_set, held_out, split_seed)[1]
     judging = EvaluationSettings(samples=samples, steps=steps, windows=windows or None, seed=seed)
-    judge_and_show(bundle, chosen, judging, choose_device(device), out)
+    judge_and_show(bundle, window_set, judging, choose_device(device), out)
 
 
 def judge_and_show(
     bundle: Bundle, windows: WindowSet, judging: EvaluationSettings, device: torch.device, out: Path | None
 ) -> None:
-    """Judge *bundle* on *windows*, print the table, and write *out*; FileError: that is no place for a file."""
+    """Judge *bundle* on *windows*, print the table, and write the figures to *out* unless it is None.
+
+    Raises:
+        FileError: *out* cannot be written; checked first, since judging takes minutes.
+    """
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
-    if out is not None:  # before minutes of judging
-        _check_place(out)
+    if out is not None:
+        _check_writable(out)
     with progress_bar(terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged", total=None)
         figures = evaluate_bundle(
@@ -91,12 +95,13 @@ def judge_and_show(
             device,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
-    terminal(width=max(terminal().width, _WIDTH)).print(table(figures))
+    terminal(width=max(terminal().width, _TABLE_WIDTH)).print(table(figures))
     if out is not None:
         write_figures(out, figures, judging, windows)
 
 
-def _check_place(out: Path) -> None:
+def _check_writable(out: Path) -> None:
+    """Raise FileError if *out* is a folder or its folder cannot be used."""
     if out.is_dir():
         raise FileError(out, "is a folder", "name a file in --out, such as figures.json in it")
     try:
@@ -106,7 +111,7 @@ def _check_place(out: Path) -> None:
 
 
 def table(figures: dict[str, Figures]) -> Table:
-    """Return the figures as a table, one row for each way to predict."""
+    """Return *figures*, by predictor (the model, the baselines and the log), as a table with one row for each."""
     from advdiff_sumo.training.evaluation import columns
 
     names = columns(figures)
@@ -114,12 +119,12 @@ def table(figures: dict[str, Figures]) -> Table:
     printed.add_column("", no_wrap=True)
     for name in names:
         printed.add_column(_HEADS[name], justify="right", no_wrap=True)
-    for way, row in figures.items():
-        printed.add_row(way, *(_shown(name, row.get(name)) for name in names))
+    for predictor, row in figures.items():
+        printed.add_row(predictor, *(_cell_text(name, row.get(name)) for name in names))
     return printed
 
 
-def _shown(name: str, value: float | None) -> str:
+def _cell_text(name: str, value: float | None) -> str:
     if value is None:
         return ""
     return f"{value:.1%}" if name.endswith("_rate") else f"{value:.{3 if name.startswith('jsd') else 2}f}"

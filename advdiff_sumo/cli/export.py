@@ -1,4 +1,4 @@
-"""``advdiff-sumo export``: an episode in the formats of other tools."""
+"""``advdiff-sumo export``: write an episode in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def export(
 
     What each format holds, and what it cannot, stands in docs/exports.md.
     """
-    from advdiff_sumo.experiments.folder_rows import put_together  # late: --help needs none of it
+    from advdiff_sumo.experiments.folder_rows import put_together  # late: not for --help
     from advdiff_sumo.export import EXPORTERS, make_exporter
 
     if not formats:
@@ -58,7 +58,7 @@ def export(
 
 
 def _write(scene: ExportScene, exporters: Sequence[Exporter], folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the files of all formats that can be written, and why the others cannot."""
+    """Write *scene* into *folder* in all formats; return the files, and why formats could not be written."""
     written: list[Path] = []
     refused: list[str] = []
     try:
@@ -77,8 +77,8 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
     """Return an episode of the run or sweep in *folder* with its net.
 
     Raises:
-        FileError: the folder holds no run, or no such episode, or nothing of it.
-        NetError: the net is no longer there.
+        FileError: the folder holds no run or no such episode, or the episode failed before its first instant.
+        NetError: the net of the run no longer exists.
         ConfigError: no episode was given.
     """
     from advdiff_sumo.export import ExportScene  # late, as above
@@ -89,8 +89,8 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
     finished = FinishedRun.read(folder)
     if episode is None:
         numbers = [int(row["episode"]) for row in finished.episodes]
-        has = f"{folder} has {numbers[0]} to {numbers[-1]}" if numbers else f"{folder} has none"
-        raise ConfigError(f"say which episode with --episode; {has}")
+        hint = f"{folder} has {numbers[0]} to {numbers[-1]}" if numbers else f"{folder} has none"
+        raise ConfigError(f"say which episode with --episode; {hint}")
     row = finished.row(episode)
     states = finished.states(episode)
     if states is None:
@@ -103,5 +103,5 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
 
 
 def stem_of(folder: Path) -> str:
-    """Return with what the names of the files begin that are exported out of *folder*."""
+    """Return the first part of the names of files that are exported from *folder*."""
     return re.sub(r"[^\w.-]+|^[^A-Za-z0-9]+", "-", folder.resolve().name).lstrip("-._") or "run"

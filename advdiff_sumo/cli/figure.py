@@ -1,4 +1,4 @@
-"""``advdiff-sumo figure``."""
+"""``advdiff-sumo figure``: draw an episode."""
 
 from __future__ import annotations
 

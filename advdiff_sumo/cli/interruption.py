@@ -1,4 +1,4 @@
-"""What a command says after Ctrl-C: what is left, and how to go on."""
+"""The message after Ctrl-C: what was kept, and the command that continues."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from pathlib import Path
 
 from advdiff_sumo.core.errors import KEPT
 
-_NOTHING = "interrupted before anything had finished; no folder is left"
+_NOTHING_KEPT = "interrupted before anything had finished; no folder is left"
 _RESUME = "--resume"
 
 
-class Interrupted(Exception):  # noqa: N818 - no error
-    """Ctrl-C ended a command; the message is for the user."""
+class Interrupted(Exception):  # noqa: N818 - it is not an error
+    """Ctrl-C ended a command; the exception's text is shown to the user."""
 
 
 @contextmanager
-def says_how_to_go_on(command: Callable[[], str | None], nothing: str = _NOTHING) -> Iterator[None]:
-    """Let Ctrl-C in the block end with the *command* that goes on.
+def says_how_to_go_on(command: Callable[[], str | None], nothing: str = _NOTHING_KEPT) -> Iterator[None]:
+    """Replace KeyboardInterrupt in the block by a message with the command that continues the work.
 
     Args:
-        command: returns it, or None where nothing is left to go on with.
-        nothing: what is said then.
+        command: returns this command, or None if nothing was kept that could be continued.
+        nothing: the message if nothing was kept.
 
     Raises:
         Interrupted: in place of KeyboardInterrupt.
@@ -32,13 +32,17 @@ def says_how_to_go_on(command: Callable[[], str | None], nothing: str = _NOTHING
     try:
         yield
     except KeyboardInterrupt:
-        again = command()
-        raise Interrupted(nothing if again is None else f"{KEPT}; go on with {again}") from None
+        continuation = command()
+        message = nothing if continuation is None else f"{KEPT}; go on with {continuation}"
+        raise Interrupted(message) from None
 
 
 @contextmanager
 def training_into(folder: Path) -> Iterator[None]:
-    """Let Ctrl-C in the block end with the command that goes on with the training in *folder*: as typed, resumed.
+    """Replace KeyboardInterrupt in the block by a message with the typed command and ``--resume``.
+
+    Args:
+        folder: the training; before its first checkpoint the message says to begin again.
 
     Raises:
         Interrupted: in place of KeyboardInterrupt.

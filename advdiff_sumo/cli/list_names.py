@@ -1,4 +1,4 @@
-"""``advdiff-sumo list``: the names that other verbs take."""
+"""``advdiff-sumo list``: list the names that other verbs accept."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from advdiff_sumo.cli.terminal import terminal
 
 
 class ListedKind(StrEnum):
-    """What can be listed."""
+    """Kinds of names that can be listed."""
 
     targets = "targets"
     backgrounds = "backgrounds"
@@ -28,18 +28,18 @@ def list_names(
 
     advdiff-sumo list targets
     """
-    names = _names(kind)
+    names = _described_names(kind)
     if as_json:
         typer.echo(json.dumps({kind.value: names}, ensure_ascii=False))
         return
-    wide = max(map(len, names))
+    width = max(map(len, names))
     console = terminal(highlight=False, soft_wrap=True)
-    for name, words in names.items():
-        console.print(f"{name:<{wide}}  {words}".rstrip())
+    for name, description in names.items():
+        console.print(f"{name:<{width}}  {description}".rstrip())
 
 
-def _names(kind: ListedKind) -> dict[str, str]:
-    """Return the names of *kind*, each with what it is."""
+def _described_names(kind: ListedKind) -> dict[str, str]:
+    """Return the names of *kind* with their descriptions."""
     if kind is ListedKind.nets:
         from advdiff_sumo.maps.shipped_nets import NETS_BY_NAME, find_net
 

@@ -1,4 +1,4 @@
-"""The command ``advdiff-sumo``: verbs, and what happens to errors."""
+"""The command ``advdiff-sumo``: its verbs and the handling of errors."""
 
 from __future__ import annotations
 
@@ -74,18 +74,19 @@ app.command("planner-kit")(planner_kit)
 app.command("doctor")(doctor)
 
 
-def _flowing(text: str) -> str:
-    """Return *text* with each paragraph in one line, so that it is broken where the terminal ends."""
+def _joined_paragraphs(text: str) -> str:
+    """Return *text* with each paragraph in one line, so that the help breaks lines at the terminal's width."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 for group in (app, data, bench):
     for command in group.registered_commands:
-        command.help = _flowing(inspect.getdoc(command.callback) or "")
+        command.help = _joined_paragraphs(inspect.getdoc(command.callback) or "")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_given: bool) -> None:
+    """Print the version and exit if ``--version`` is given."""
+    if is_given:
         typer.echo(f"advdiff-sumo {__version__}")
         raise typer.Exit
 
@@ -93,7 +94,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _common(
     version: Annotated[  # noqa: ARG001 - its callback prints it
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and leave."
+        ),
     ] = False,
     verbose: Annotated[
         int,
@@ -110,39 +114,41 @@ def _common(
 
 
 def main() -> None:
-    """Run the command line; an error that the user can mend is one sentence on stderr and exit code 2."""
+    """Run the command line and exit; an error that the user can correct is one sentence on stderr, exit code 2."""
     if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
         sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
-    said = KEPT
+    message = KEPT
     try:
         code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:
         _refuse(str(error))
     except typer.TyperException as error:
-        _refuse(_usage(error))
+        _refuse(_usage_error(error))
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
-    except Interrupted as left:
-        code, said = INTERRUPTED, str(left)
+    except Interrupted as interrupted:
+        code, message = INTERRUPTED, str(interrupted)
     if code == INTERRUPTED:
-        exec("")  # noqa: S102 - else Python, which was in an exec of a text, as of dataclasses, would die by the signal
-        _tell(said, "yellow")
+        # If Ctrl-C interrupted an exec of a text, as in dataclasses, Python would end by the signal.
+        exec("")  # noqa: S102 - it resets that state
+        _print_error(message, "yellow")
     sys.exit(code)
 
 
-def _tell(sentence: str, style: str) -> None:
+def _print_error(sentence: str, style: str) -> None:
     terminal(stderr=True, soft_wrap=True, highlight=False).print(sentence, style=style)
 
 
 def _refuse(sentence: str) -> NoReturn:
+    """Print *sentence* as an error, in one line, and exit with code 2; print nothing if it is empty."""
     line = " ".join(sentence.split())
-    if line:  # empty where typer has printed the help already
-        _tell(f"error: {line}", "red")
+    if line:
+        _print_error(f"error: {line}", "red")
     sys.exit(INPUT_ERROR)
 
 
-def _usage(error: typer.TyperException) -> str:
-    """Return what is wrong with the command line, and whose help to read."""
+def _usage_error(error: typer.TyperException) -> str:
+    """Return what is wrong with the command line, and which help to read; "" if typer has printed the help already."""
     problem = error.format_message().strip().rstrip(".")
     context = getattr(error, "ctx", None)
     command = context.command_path if context else app.info.name

@@ -1,4 +1,4 @@
-"""``advdiff-sumo margin``: the least severe encounter of a seed scene in which a target fails validly."""
+"""``advdiff-sumo margin``: find the mildest attack in a seed scene in which a target has a valid failure."""
 
 from __future__ import annotations
 
@@ -92,53 +92,52 @@ def margin(
     from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.sim.free_folder import named_folder
 
-    asked = _asked(attack, by, within)
+    attacks = _attacks(attack, by, within)
     given: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
     given |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
     options = options_given(config, given, {"attackers": 1}, assign or [], defect)
     planted = options.target_options.get("defects", ())
-    about = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
-    folder = out or named_folder("margin", attack, *map(str, about), f"s{options.seed}")
+    words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
+    folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")
     console = terminal(quiet=as_json)
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         trials = stack.enter_context(MarginTrials(options, folder, limits))
-        margins = _margins(console, trials, asked, within)
+        margins = _margins(console, trials, attacks, within)
         if not margins:
             raise typer.Exit(_FAILED)
         trials.keep(margins, margin_command(options, attack, by, within))
-    _tell(console, options.target, folder, attack, margins, as_json)
-    if len(margins) < len(asked) or not any(one.margin.is_known for one in margins):
+    _report(console, options.target, folder, attack, margins, as_json)
+    if len(margins) < len(attacks) or not any(found.margin.is_known for found in margins):
         raise typer.Exit(_FAILED)
 
 
-def _tell(
+def _report(
     console: Console, target: str, folder: Path, attack: str, margins: Sequence[MarginOf], as_json: bool
 ) -> None:
-    """Write the report, and print the *margins* of *target* and where it is."""
+    """Write the report, and print its path and the *margins* of *target*."""
     from advdiff_sumo.report.page import write_report
 
     report = write_report(folder)
-    for one in margins:
-        console.print(f"{target}: {one.margin.text(one.attack, one.scale)}", soft_wrap=True)
+    for found in margins:
+        console.print(f"{target}: {found.margin.text(found.attack, found.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
     if as_json:
-        print_json(
-            {"folder": str(folder.resolve()), "report": str(report.resolve()), **_found(attack, margins)}
-        )
+        paths = {"folder": str(folder.resolve()), "report": str(report.resolve())}
+        print_json({**paths, **_json_values(attack, margins)})
 
 
-def _found(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
-    """Return what ``--json`` prints of the *margins*: of one attack its values, of all attacks a list."""
-    summaries = [one.summary() for one in margins]
+def _json_values(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
+    """Return the *margins* as ``--json`` prints them: the values of one attack, or a list for all attacks."""
+    summaries = [found.summary() for found in margins]
     return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
 
-def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:
-    """Return the attacks with their severities.
+def _attacks(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:
+    """Return the requested attacks with the scales of their severities.
 
     Raises:
-        ConfigError: there are none such.
+        ConfigError: the attack or its scale is unknown, or an option for one attack is given for all.
     """
     if attack != EVERY_ATTACK:
         return [(attack, scale_of(attack, by))]
@@ -149,11 +148,11 @@ def _asked(attack: str, by: str | None, within: float | None) -> list[tuple[str,
 
 
 def _margins(
-    console: Console, trials: MarginTrials, asked: Sequence[tuple[str, Scale]], within: float | None
+    console: Console, trials: MarginTrials, attacks: Sequence[tuple[str, Scale]], within: float | None
 ) -> list[MarginOf]:
-    """Return the margins of the attacks that are *asked* for; say of which an episode failed, and leave it out."""
+    """Return the margins of *attacks*; leave out those in which an episode failed, and print its error."""
     margins = []
-    for attack, scale in asked:
+    for attack, scale in attacks:
         try:
             margins.append(_margin(console, trials, attack, scale, within))
         except EpisodeFailure as failure:

@@ -1,4 +1,4 @@
-"""``advdiff-sumo planner-kit``: what a planner in an environment of its own needs."""
+"""``advdiff-sumo planner-kit``: write the files that a planner in a separate environment needs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def planner_kit(
 
     advdiff-sumo planner-kit kit, then in the planner's environment: pip install ./kit
     """
-    from advdiff_sumo.planners.remote.write_kit import write_kit  # late: --help needs none of it
+    from advdiff_sumo.planners.remote.write_kit import write_kit  # late: not for --help
 
     written = write_kit(folder)
     proto = next(path for path in written if path.suffix == ".proto")

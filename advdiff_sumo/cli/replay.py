@@ -1,4 +1,4 @@
-"""``advdiff-sumo replay``."""
+"""``advdiff-sumo replay``: repeat one episode of a sweep or a run."""
 
 from __future__ import annotations
 
@@ -51,30 +51,30 @@ def replay(
     from advdiff_sumo.sweep.run_folder import RunFolder
 
     flags.check_display(gui)
-    before = _before(key, run, sweep)
-    done = repeat(before, gui)
+    original = _original(key, run, sweep)
+    repetition = repeat(original, gui)
     folder = RunFolder.create(
-        out or free_folder("replay", before.name), settings_for(before.job, done.run), resume=False
+        out or free_folder("replay", original.name), settings_for(original.job, repetition.run), resume=False
     )
-    folder.add(before.job.number, done.part)
+    folder.add(original.job.number, repetition.part)
     folder.consolidate(finished=True)
     write_report(folder.path)
+    name = key if run else original.job.key
     terminal().print(
-        f"{key if run else before.job.key}: {_outcome(done.part)}  ·  look at {folder.path / 'report.html'}",
-        soft_wrap=True,
+        f"{name}: {_outcome(repetition.part)}  ·  look at {folder.path / 'report.html'}", soft_wrap=True
     )
-    if done.part.failed is not None:
-        terminal().print(done.part.failed.message, style="red", soft_wrap=True)
-        if tail := done.part.failed.log_tail.strip():
+    if repetition.part.failed is not None:
+        terminal().print(repetition.part.failed.message, style="red", soft_wrap=True)
+        if tail := repetition.part.failed.log_tail.strip():
             terminal().print(tail, markup=False, highlight=False, soft_wrap=True)
-    _say_whether_same(done.same, "run" if run else "sweep", gui, _outcome(before.part))
+    _print_whether_same(repetition.same, "run" if run else "sweep", gui, _outcome(original.part))
 
 
-def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
-    """Return the episode that is asked for.
+def _original(key: str, run: Path | None, sweep: Path | None) -> Before:
+    """Return the stored episode *key* of *run* or *sweep*; if both are None, of the sweep in ``runs/`` that has it.
 
     Raises:
-        InputError: there is none such.
+        InputError: there is no such episode, or both a run and a sweep are given.
     """
     from advdiff_sumo.data.run_tables import RUN_SETTINGS, RunTables
     from advdiff_sumo.sim.free_folder import RUNS
@@ -90,22 +90,30 @@ def _before(key: str, run: Path | None, sweep: Path | None) -> Before:
 
 
 def _outcome(part: StoredEpisode | None) -> str:
-    """Return what came of an episode in a word; "" where nothing is kept."""
+    """Return the outcome of an episode in a word; "" if nothing of it is stored."""
     if part is None or not part.tables:
         return ""
     (row,) = part.tables["episodes"].to_pylist()
     return str(row["collision_type"] if row["target_collision"] else row["end"])
 
 
-def _say_whether_same(same: bool | None, before: str, gui: bool, outcome: str) -> None:
+def _print_whether_same(same: bool | None, source: str, gui: bool, outcome: str) -> None:
+    """Print whether the repetition equals the original; exit with code 1 if not, except in the GUI.
+
+    Args:
+        same: whether it does; None: the original has no result.
+        source: "run" or "sweep", from which the original comes.
+        gui: whether it was watched in sumo-gui.
+        outcome: that of the original.
+    """
     console = terminal()
     if same is None:
-        console.print(f"the {before} has no result of it to compare with")
+        console.print(f"the {source} has no result of it to compare with")
     elif same:
-        console.print(f"the same as in the {before}")
+        console.print(f"the same as in the {source}")
     elif not gui:
         console.print(
-            f"not the same as in the {before} ({outcome}): the planner's code has changed, another version, or a "
+            f"not the same as in the {source} ({outcome}): the planner's code has changed, another version, or a "
             "planner with a memory",
             style="red",
             soft_wrap=True,

@@ -1,4 +1,4 @@
-"""``advdiff-sumo report``."""
+"""``advdiff-sumo report``: write the page of a run or sweep."""
 
 from __future__ import annotations
 

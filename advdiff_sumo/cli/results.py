@@ -1,4 +1,4 @@
-"""``advdiff-sumo results``."""
+"""``advdiff-sumo results``: print the results of a run or sweep, or query its tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import ConfigError
 
 
 class Form(StrEnum):
-    """How the answer to a query is written."""
+    """Format of the answer to a query."""
 
     table = "table"
     csv = "csv"
@@ -60,10 +60,11 @@ def results(
         return
     from advdiff_sumo.sweep.sql import query
 
-    _write(console, query(folder, sql, rows.tables()), form)
+    _write_answer(console, query(folder, sql, rows.tables()), form)
 
 
-def _write(console: Console, answer: Any, form: Form) -> None:
+def _write_answer(console: Console, answer: Any, form: Form) -> None:
+    """Write *answer*, an Arrow table, to standard output."""
     if form is Form.csv:
         from pyarrow import csv
 

@@ -1,4 +1,4 @@
-"""``advdiff-sumo run``."""
+"""``advdiff-sumo run``: run episodes of a target in traffic."""
 
 from __future__ import annotations
 
@@ -89,43 +89,46 @@ def run(
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
     policy |= {"attack": attack, "guide": guide, "weights": flags.weights_of(weights)}
     policy |= {"reward": reward and str(reward.resolve()), "device": device}
-    begun = _begun(out, resume, retry_failed)
-    options = options_given(config or begun, given | {"seed": seed}, policy, assign or [], defect)
+    resumed = _settings_to_resume(out, resume, retry_failed)
+    options = options_given(config or resumed, given | {"seed": seed}, policy, assign or [], defect)
     prepared, notes = _prepared(options, gui)
     console = terminal(quiet=quiet or as_json)
-    folder = _continued_or_new(console, prepared, notes, out, begun)
-    with says_how_to_go_on(lambda: _to_go_on(folder)), ExitStack() as stack:
+    folder = _resumed_or_new(console, prepared, notes, out, resumed)
+    with says_how_to_go_on(lambda: _resume_command(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
-        stack.callback(_draw, folder.path, not no_report)
-        count = _episodes(prepared, folder, console, limits, quiet, retry_failed)
-    _tell_outcome(console, folder, prepared, count, check, as_json, resume and no_report)
+        stack.callback(_draw_report, folder.path, not no_report)
+        count = _run_episodes(prepared, folder, console, limits, quiet, retry_failed)
+    _print_outcome(console, folder, prepared, count, check, as_json, resume and no_report)
 
 
-def _continued_or_new(
-    console: Console, prepared: Run, notes: Iterable[str], out: Path | None, begun: Path | None
+def _resumed_or_new(
+    console: Console, prepared: Run, notes: Iterable[str], out: Path | None, resumed: Path | None
 ) -> RunFolder:
-    """Return the folder of the run *begun*, with a word where code has changed since, or a new one; print *notes*."""
-    before = read_toml(begun).get("run", {}) if begun else {}
-    folder = _folder(prepared, out, begun is not None)
-    if begun:
-        tell_changed_code(read_toml(begun)["run"], before)
+    """Return the folder of the run, and print *notes*.
+
+    It is that of the settings file *resumed*, with a note if code has changed since; None: a new folder.
+    """
+    before = read_toml(resumed).get("run", {}) if resumed else {}
+    folder = _folder(prepared, out, resumed is not None)
+    if resumed:
+        tell_changed_code(read_toml(resumed)["run"], before)
     print_notes(console, notes)
     return folder
 
 
 def _prepared(options: RunOptions, gui: bool) -> tuple[Run, list[str]]:
-    """Return the checked run and what to say of its net, log and demand; workers start meanwhile."""
+    """Return the checked run, and notes on its net, log and demand; workers start at the same time."""
     flags.check_display(gui)
     if not gui:
         _start_workers(options)
     from advdiff_sumo.sim.run_episodes import Run  # late: workers import what they need meanwhile
 
     prepared = Run.prepare(options, gui)
-    return prepared, prepared.notes()  # before there is a folder: a log that cannot be read leaves none
+    return prepared, prepared.notes()  # before a folder is made: if the log cannot be read, no folder is left
 
 
 def _start_workers(options: RunOptions) -> None:
-    """Let workers import what they need while this process does."""
+    """Let workers import the modules of target and background while this process imports its own."""
     from advdiff_sumo.planners.planner_registry import TARGETS
     from advdiff_sumo.sweep.executors import prepare_workers  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.traffic.policy_registry import POLICIES
@@ -135,7 +138,7 @@ def _start_workers(options: RunOptions) -> None:
 
 
 def _folder(prepared: Run, out: Path | None, resume: bool) -> RunFolder:
-    """Return the folder *out* of the run, or a new one named after it."""
+    """Return the folder *out* of the run; None: a new one, named after the run."""
     from advdiff_sumo.sim.free_folder import free_folder, run_words  # late, as above
     from advdiff_sumo.sweep.run_engine import run_settings
     from advdiff_sumo.sweep.run_folder import RunFolder
@@ -144,26 +147,36 @@ def _folder(prepared: Run, out: Path | None, resume: bool) -> RunFolder:
     return RunFolder.create(out or free_folder(*words), run_settings(prepared), resume, _NEW_OR_RESUME)
 
 
-def _to_go_on(folder: RunFolder) -> str | None:
-    """Return the command that goes on with the run; None where nothing had finished, and it is gone."""
-    there = (folder.path / "run.toml").exists()
-    return f"advdiff-sumo run --resume --out {shlex.quote(str(folder.path))}" if there else None
+def _resume_command(folder: RunFolder) -> str | None:
+    """Return the command that continues the run; None if nothing had finished, so that its folder was removed."""
+    exists = (folder.path / "run.toml").exists()
+    return f"advdiff-sumo run --resume --out {shlex.quote(str(folder.path))}" if exists else None
 
 
-def _tell_outcome(
+def _print_outcome(
     console: Console,
     folder: RunFolder,
     prepared: Run,
     count: int,
     check: bool,
     as_json: bool,
-    keeps_report: bool,
+    keeps_old_report: bool,
 ) -> None:
-    """Print what the *count* episodes came to, and that the report shows fewer; leave with 1 where all failed."""
+    """Print the results of the *count* episodes; exit with code 1 if all failed.
+
+    Args:
+        console: receives the text.
+        folder: the run's folder.
+        prepared: the run.
+        count: number of its episodes.
+        check: whether to print implausible behaviour of background vehicles.
+        as_json: whether to print one JSON object.
+        keeps_old_report: whether to note that the report is older than the results.
+    """
     from advdiff_sumo.cli.check_run import print_check  # late: --help needs neither SUMO nor plots
     from advdiff_sumo.cli.summary import note_old_report, print_summary, run_object
 
-    if keeps_report:
+    if keeps_old_report:
         note_old_report(console, folder.path)
     failures = folder.failures()
     print_summary(console, folder.path, prepared.options.episodes - count, failures)
@@ -176,11 +189,11 @@ def _tell_outcome(
 
 
 def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
-    """Say of which planners and policies the code is not that of the episodes which are there already.
+    """Print which planners and policies have changed since the stored episodes were run.
 
     Args:
-        now: versions and digests of code.
-        before: those that the folder was begun with.
+        now: versions and digests of the present code.
+        before: those of the code with which the folder was begun.
     """
     from advdiff_sumo.sweep.sweep_files import changed_code  # late, as above
 
@@ -194,46 +207,48 @@ def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:
-    """Say what a user should know of nets, logs and demand."""
+    """Print *notes* on nets, logs and demand."""
     for note in notes:
         console.print(f"note: {note}", soft_wrap=True)
 
 
-def _episodes(
+def _run_episodes(
     prepared: Run, folder: RunFolder, console: Console, limits: WorkerLimits, quiet: bool, retry_failed: bool
 ) -> int:
-    """Run what *folder* lacks behind a bar, and return how many there are."""
+    """Run the episodes missing in *folder* with a progress bar; return how many the run has."""
     from advdiff_sumo.report.attack_words import out_of_position
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
     from advdiff_sumo.sweep.run_engine import run_into
 
     executor = SerialExecutor(prepared) if prepared.gui else ProcessExecutor(1, limits)
-    hits = failed = 0
+    collisions = failed = 0
     with progress_bar(console) as progress:
         done = len(folder.done(retry_failed))
         task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
         def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
-            nonlocal hits, failed
-            hits += bool(row and row["target_collision"])
+            nonlocal collisions, failed
+            collisions += bool(row and row["target_collision"])
             failed += failure is not None
-            words = f"episodes · {counted(hits, 'collision')}" + (f" · {failed} failed" if failed else "")
-            progress.update(task, advance=1, description=words)
-            lacking = out_of_position(row or {})
-            if row and lacking is not None:
-                console.print(f"episode {row['episode']}: no one was in a position to {lacking}")
+            text = f"episodes · {counted(collisions, 'collision')}" + (
+                f" · {failed} failed" if failed else ""
+            )
+            progress.update(task, advance=1, description=text)
+            attack = out_of_position(row or {})
+            if row and attack is not None:
+                console.print(f"episode {row['episode']}: no one was in a position to {attack}")
 
-        silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
+        is_silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
 
         def hear(line: str) -> None:
-            if not silent:  # with -v it is logs, too
-                sys.stderr.write(f"{line}\n")  # above the bar, which minds it
+            if not is_silent:  # with -v, the lines include logs
+                sys.stderr.write(f"{line}\n")  # Rich prints it above the progress bar
 
         return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
 
 
-def _draw(folder: Path, wanted: bool) -> None:
-    """Draw the report if it is *wanted* and there are tables to draw."""
+def _draw_report(folder: Path, wanted: bool) -> None:
+    """Write the report of the run in *folder* if it is *wanted* and the run has tables."""
     if not wanted or not (folder / "episodes.parquet").exists():
         return
     from advdiff_sumo.report.page import write_report  # late, as above
@@ -241,8 +256,13 @@ def _draw(folder: Path, wanted: bool) -> None:
     write_report(folder)
 
 
-def _begun(out: Path | None, resume: bool, retry_failed: bool) -> Path | None:
-    """Return the options of the run in *out* that is to go on; None where none is."""
+def _settings_to_resume(out: Path | None, resume: bool, retry_failed: bool) -> Path | None:
+    """Return the settings file of the run in *out* to resume; None without ``--resume``.
+
+    Raises:
+        ConfigError: ``--resume`` lacks ``--out``, or ``--retry-failed`` lacks ``--resume``.
+        FileError: *out* holds no run.
+    """
     flags.check_retry(retry_failed, resume)
     if not resume:
         return None
@@ -261,10 +281,18 @@ def options_given(
     assignments: list[str],
     defects: list[str] | None = None,
 ) -> RunOptions:
-    """Return the options of the file, then of the command line, then of ``--set``; later ones win.
+    """Return the options of a run; ``--set`` overrides the command line, which overrides the file.
 
-    *policy* holds options of the background and *defects* what is planted in the target, which a file has in tables of
-    their own.
+    Args:
+        config: TOML file of options; None: no file.
+        given: options of the command line by name; None: not given.
+        policy: options of the background, which a file has in the table ``background_options``.
+        assignments: NAME=VALUE of ``--set``.
+        defects: defects to plant in the target, which a file has in the table ``target_options``.
+
+    Raises:
+        FileError: the file cannot be read.
+        ConfigError: an option is unknown or unusable.
     """
     from advdiff_sumo.sim.run_episodes import RunOptions  # late, as above
 
@@ -277,9 +305,9 @@ def options_given(
         if values.keys() & {"grid", "cases"}:
             raise ConfigError(f"{config}: is the file of a sweep; give it to advdiff-sumo sweep")
     values |= {key: value for key, value in given.items() if value is not None}
-    named = {key: value for key, value in policy.items() if value is not None}
-    if named:
-        _add_to(values, "background_options", named)
+    policy_options = {key: value for key, value in policy.items() if value is not None}
+    if policy_options:
+        _add_to(values, "background_options", policy_options)
     if defects:
         _add_to(values, "target_options", {"defects": defects})
     for assignment in assignments:
@@ -287,8 +315,11 @@ def options_given(
     return RunOptions.parse(values, str(config) if config else "options")
 
 
-def _add_to(values: dict[str, Any], group: str, more: Mapping[str, Any]) -> None:
-    """Add *more* to a table of options; what is none there stays, and is refused where all options are checked."""
-    own = values.get(group, {})
-    if isinstance(own, Mapping):
-        values[group] = {**own, **more}
+def _add_to(values: dict[str, Any], group: str, added: Mapping[str, Any]) -> None:
+    """Add options to the table *group* of *values*, in place.
+
+    If *group* is no table, it stays as it is; it is refused when all options are checked.
+    """
+    existing = values.get(group, {})
+    if isinstance(existing, Mapping):
+        values[group] = {**existing, **added}

@@ -1,4 +1,4 @@
-"""The options of ``advdiff-sumo run``; all are empty by default, so that a file's values show through."""
+"""The options of ``advdiff-sumo run``; by default they are not set, so that the values of a file apply."""
 
 from __future__ import annotations
 
@@ -134,19 +134,19 @@ Json: TypeAlias = Annotated[
 
 
 def check_retry(retry_failed: bool, resume: bool) -> None:
-    """Refuse ``--retry-failed`` for what is begun anew."""
+    """Raise ConfigError for ``--retry-failed`` without ``--resume``."""
     if retry_failed and not resume:
         raise ConfigError("--retry-failed runs the failed episodes of an earlier folder again; add --resume")
 
 
 def check_display(gui: bool) -> None:
-    """Refuse sumo-gui where there is no display."""
+    """Raise an error if sumo-gui is requested but there is no display."""
     if gui and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
 def weights_of(given: str | None) -> str | None:
-    """Return what ``--weights`` means for a run's options: a path made whole, or the name of shipped networks."""
+    """Return ``--weights`` as an option of a run: an absolute path, or the name of shipped networks."""
     if given is None or not (Path(given).exists() or Path(given).suffix):
         return given
     return str(Path(given).resolve())

@@ -1,4 +1,4 @@
-"""``advdiff-sumo sweep``."""
+"""``advdiff-sumo sweep``: run many episodes in parallel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from advdiff_sumo.sweep.sweep_store import Store
     from advdiff_sumo.sweep.tasks import WorkerLimits
 
-_OF_DRY_RUN = "interrupted; a dry run keeps nothing"
+_DRY_RUN_INTERRUPTED = "interrupted; a dry run keeps nothing"
 
 
 def sweep(
@@ -65,34 +65,40 @@ def sweep(
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
-    begun = _begun(resume, out)
+    resumed = _resumed_store(resume, out)
     console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
     slots = workers or worker.cores()
     with ExitStack() as stack:
         if dry_run:
-            stack.enter_context(says_how_to_go_on(lambda: None, _OF_DRY_RUN))
-        plan = _plan(console, file, begun, diverse)
+            stack.enter_context(says_how_to_go_on(lambda: None, _DRY_RUN_INTERRUPTED))
+        plan = _plan(console, file, resumed, diverse)
         limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
-            _tell_estimate(console, plan, RemainingJobs.of(plan, begun, limit, retry_failed), slots, limits)
+            _print_estimate(
+                console, plan, RemainingJobs.of(plan, resumed, limit, retry_failed), slots, limits
+            )
             return
         if junit is not None:
             check_junit(junit)
-        done_by = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
-        _tell_changed(plan, begun)
+        task_executor = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
+        _print_changed_code(plan, resumed)
         folder = resume or out or _new_folder(console, file)
-        store = open_store(folder, plan, done_by.slots, resume is not None)
-        stack.enter_context(says_how_to_go_on(lambda: _to_go_on(store.path)))
-        todo = RemainingJobs.of(plan, store, limit, retry_failed)
-        missing = _episodes(console, plan, store, todo, done_by, retries)
-    _show_report(console, store.path, report, todo.done < todo.total)
+        store = open_store(folder, plan, task_executor.slots, resume is not None)
+        stack.enter_context(says_how_to_go_on(lambda: _resume_command(store.path)))
+        remaining = RemainingJobs.of(plan, store, limit, retry_failed)
+        missing = _run_episodes(console, plan, store, remaining, task_executor, retries)
+    _report(console, store.path, report, remaining.done < remaining.total)
     if as_json:
         print_json({**run_object(store.path), "missing": missing})
     conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
 
 
-def _begun(resume: Path | None, out: Path | None) -> Store | None:
-    """Return the sweep to go on with, if there is one."""
+def _resumed_store(resume: Path | None, out: Path | None) -> Store | None:
+    """Return the sweep to resume; None if a new one is begun.
+
+    Raises:
+        ConfigError: *out* names another folder than *resume*.
+    """
     from advdiff_sumo.sweep.sweep_store import Store
 
     if resume is not None and out is not None and out.resolve() != resume.resolve():
@@ -100,31 +106,31 @@ def _begun(resume: Path | None, out: Path | None) -> Store | None:
     return None if resume is None else Store.open(resume)
 
 
-def _tell_changed(plan: SweepPlan, begun: Store | None) -> None:
-    """Say of which planners and policies the code is not that of the episodes which are there already."""
+def _print_changed_code(plan: SweepPlan, resumed: Store | None) -> None:
+    """Print which planners and policies have changed since the stored episodes were run."""
     from advdiff_sumo.sweep.sweep_runner import settings_of
 
-    if begun is not None:
-        tell_changed_code(settings_of(plan)["made_by"], begun.made_by())
+    if resumed is not None:
+        tell_changed_code(settings_of(plan)["made_by"], resumed.made_by())
 
 
-def _to_go_on(folder: Path) -> str:
-    """Return the command that goes on with the sweep in *folder*."""
+def _resume_command(folder: Path) -> str:
+    """Return the command that continues the sweep in *folder*."""
     return f"advdiff-sumo sweep --resume {shlex.quote(str(folder))}"
 
 
-def _show_report(console: Console, folder: Path, wanted: bool, is_longer: bool) -> None:
-    """Write the page if it is *wanted*, else say so where one is there already of fewer episodes."""
+def _report(console: Console, folder: Path, wanted: bool, has_new_episodes: bool) -> None:
+    """Write the report if it is *wanted*; otherwise note if an existing report lacks new episodes."""
     from advdiff_sumo.cli.summary import note_old_report
 
     if wanted:
-        _draw(console, folder)
-    elif is_longer:
+        _draw_report(console, folder)
+    elif has_new_episodes:
         note_old_report(console, folder)
 
 
-def _draw(console: Console, folder: Path) -> None:
-    """Write the page; that there is no room for it, say, does not change what the sweep came to."""
+def _draw_report(console: Console, folder: Path) -> None:
+    """Write the report; if it cannot be written, print why, since the results of the sweep are complete anyway."""
     from advdiff_sumo.report.page import write_report
 
     try:
@@ -134,32 +140,36 @@ def _draw(console: Console, folder: Path) -> None:
 
 
 def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
-    """Return what is asked: the file's, or that of the sweep to go on with; both must agree."""
+    """Return the specification of the sweep, from its file or from the sweep to resume.
+
+    Raises:
+        ConfigError: there is neither, or ``--diverse`` or the file contradicts the sweep to resume.
+    """
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_store import must_equal
 
-    begun = None if store is None else store.spec()
-    if file is None and begun is None:
+    stored = None if store is None else store.spec()
+    if file is None and stored is None:
         raise ConfigError("no sweep file was given; scenarios/sweeps/quick.toml is a small one")
-    if begun is not None and diverse and not begun.diverse:
+    if stored is not None and diverse and not stored.diverse:
         raise ConfigError("that sweep was begun without --diverse; leave it out, or choose a new --out")
     if file is None:
-        return begun
+        return stored
     spec = SweepSpec.read(file)
-    if diverse or (begun is not None and begun.diverse):
+    if diverse or (stored is not None and stored.diverse):
         spec = spec.model_copy(update={"diverse": True})
-    if store is not None and begun is not None:
-        must_equal(store.path, begun, spec)
+    if store is not None and stored is not None:
+        must_equal(store.path, stored, spec)
     return spec
 
 
-def _plan(console: Console, file: Path | None, begun: Store | None, diverse: bool) -> SweepPlan:
-    """Return all episodes that are asked for; say what of the logs is left out."""
+def _plan(console: Console, file: Path | None, resumed: Store | None, diverse: bool) -> SweepPlan:
+    """Return the plan of all episodes, and print notes, such as which parts of logs are left out."""
     from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.sweep.job_plan import plan_sweep, sweep_notes
 
     try:
-        plan = plan_sweep(_spec(file, begun, diverse), places=True)
+        plan = plan_sweep(_spec(file, resumed, diverse), places=True)
     except (ConfigError, UnknownNameError) as error:
         if file is None or str(file) in str(error):
             raise
@@ -169,22 +179,23 @@ def _plan(console: Console, file: Path | None, begun: Store | None, diverse: boo
 
 
 def _new_folder(console: Console, file: Path | None) -> Path:
-    """Return a folder for a sweep that nobody named; say so where there is one of its name."""
+    """Return a new folder named after *file*; print a note if a sweep of this name exists already."""
     from advdiff_sumo.data.run_tables import SWEEP_SETTINGS
     from advdiff_sumo.sim.free_folder import RUNS, free_folder
 
     name = file.stem if file is not None else "sweep"
     folder = free_folder(name)
     if folder.name != name and (RUNS / name / SWEEP_SETTINGS).exists():
-        before = RUNS / name
-        words = f"{shlex.quote(str(before))} is there already ({_to_go_on(before)} goes on with it)"
-        console.print(f"{words}: this one goes to {folder}", soft_wrap=True)
+        older = RUNS / name
+        note = f"{shlex.quote(str(older))} is there already ({_resume_command(older)} goes on with it)"
+        console.print(f"{note}: this one goes to {folder}", soft_wrap=True)
     return folder
 
 
 def _executor(
     name: flags.ExecutorName, workers: int | None, address: str | None, plan: SweepPlan, limits: WorkerLimits
 ) -> Executor:
+    """Return the executor *name* with *workers* workers; *address* is that of a Ray cluster."""
     from advdiff_sumo.sweep.executors import ProcessExecutor, SerialExecutor
 
     if address is not None and name is not flags.ExecutorName.ray:
@@ -199,28 +210,34 @@ def _executor(
     return RayExecutor(address, workers, limits, needed_nets(plan))
 
 
-def _episodes(
-    console: Console, plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int
+def _run_episodes(
+    console: Console,
+    plan: SweepPlan,
+    store: Store,
+    remaining: RemainingJobs,
+    executor: Executor,
+    retries: int,
 ) -> int:
-    """Run what is *todo* behind a bar and return how many episodes are missing then."""
+    """Run the *remaining* episodes with a progress bar; return how many are missing afterwards."""
     from advdiff_sumo.sweep.sweep_runner import EpisodeCount, run_sweep
 
     with Bars(console) as bars:
-        bars.begin("episodes", todo.total, todo.done)
-        return run_sweep(plan, store, todo, executor, retries, EpisodeCount(bars.step).tell)
+        bars.begin("episodes", remaining.total, remaining.done)
+        return run_sweep(plan, store, remaining, executor, retries, EpisodeCount(bars.step).tell)
 
 
-def _tell_estimate(
-    console: Console, plan: SweepPlan, todo: RemainingJobs, workers: int, limits: WorkerLimits
+def _print_estimate(
+    console: Console, plan: SweepPlan, remaining: RemainingJobs, workers: int, limits: WorkerLimits
 ) -> None:
+    """Print the number of *remaining* episodes, and how long they will take, measured on a few of them."""
     from advdiff_sumo.cli.sweep_results import duration
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate
 
-    asked = f"{counted(plan.wanted, 'episode')} in {counted(len(plan.cells), 'run')}"
-    console.print(f"{asked}; {todo.total - todo.done} to do")
+    size = f"{counted(plan.wanted, 'episode')} in {counted(len(plan.cells), 'run')}"
+    console.print(f"{size}; {remaining.total - remaining.done} to do")
     with ProcessExecutor(1, limits) as executor:
-        expected = estimate(plan, todo.ahead(plan), executor)
+        expected = estimate(plan, remaining.ahead(plan), executor)
     if expected is not None:
         console.print(
             f"about {duration(expected.total_s(workers))} on {counted(workers, 'worker')} with a core each: "

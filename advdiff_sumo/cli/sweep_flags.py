@@ -1,4 +1,4 @@
-"""The options of ``advdiff-sumo sweep`` and ``results``, but for those of workers."""
+"""The options of ``advdiff-sumo sweep`` and ``results``, except those of workers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 
 class ExecutorName(StrEnum):
-    """Who runs the episodes."""
+    """Executors that can run the episodes."""
 
     serial = "serial"
     process = "process"

@@ -1,4 +1,4 @@
-"""What is printed of a sweep, and what becomes the exit code."""
+"""Print the results of a sweep, and determine the exit code."""
 
 from __future__ import annotations
 
@@ -33,33 +33,41 @@ from advdiff_sumo.sweep.sweep_columns import job_row
 from advdiff_sumo.sweep.sweep_files import write_whole
 
 CONDITION_MET = 1
-_OTHER_JUNIT = "choose another --junit"
-_WORST, _FINDINGS = 20, 12
-_LACKING = {"failures": "episodes failed", "missing": "have not been run"}
-#: Figures that tell of episodes that did not finish.
-_OF_FAILURES = {"finished", "failures", "missing", "failure_rate", "failure_rate_low", "failure_rate_high"}
-#: Columns whose entries are copied, and so never broken.
-_WHOLE = ("key", "the worst of them")
-#: Columns that a narrow terminal can do without where all rows say the same, and those that go then.
-_ALIKE = ("net", "background")
-_OF_RATES = ("arrives", "breaks rules", "critical", "at fault")
-_OF_WORST = ("clearance", "TTC")
-_OF_FINDINGS = ("targets", "where")
+_JUNIT_REMEDY = "choose another --junit"
+_LISTED_WORST, _LISTED_FINDINGS = 20, 12
+_UNFINISHED_TEXTS = {"failures": "episodes failed", "missing": "have not been run"}
+#: Figures about episodes that did not finish.
+_FAILURE_FIGURES = {
+    "finished",
+    "failures",
+    "missing",
+    "failure_rate",
+    "failure_rate_low",
+    "failure_rate_high",
+}
+#: Columns whose entries users copy; they are never broken.
+_UNBROKEN_COLUMNS = ("key", "the worst of them")
+#: Columns that a narrow terminal leaves out first if all their entries are equal.
+_CONSTANT_COLUMNS = ("net", "background")
+#: Columns of each table that a narrow terminal leaves out next, in this order.
+_DISPENSABLE_RATES = ("arrives", "breaks rules", "critical", "at fault")
+_DISPENSABLE_WORST = ("clearance", "TTC")
+_DISPENSABLE_FINDINGS = ("targets", "where")
 
 Row = Mapping[str, Any]
 
 
 def condition_of(text: str | None) -> Condition | None:
-    """Return the condition of ``--fail-if``.
+    """Return the condition of ``--fail-if``; None if it is not given.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: *text* is not a condition.
     """
     return None if text is None else Condition(text, FIGURE_NAMES)
 
 
 def conclude(console: Console, results: FolderRows, condition: Condition | None, junit: Path | None) -> None:
-    """Print what the sweep came to, write JUnit XML, and leave with code 1 where the condition is met.
+    """Print the results of the sweep, write JUnit XML, and exit with code 1 if the condition is met.
 
     Raises:
         FileError: *junit* cannot be written.
@@ -74,80 +82,86 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
         _write_junit(junit, results, None if condition is None else (condition.text, verdict))
     if verdict is not None:
         raise typer.Exit(CONDITION_MET)
-    if condition is not None and (untested := _untested(condition, overall)):
-        terminal(stderr=True).print(f"note: {untested}", style="yellow", soft_wrap=True)
+    if condition is not None and (ignored := _ignored_by(condition, overall)):
+        terminal(stderr=True).print(f"note: {ignored}", style="yellow", soft_wrap=True)
 
 
 def check_junit(path: Path) -> None:
-    """Make the folder of a JUnit file.
+    """Make the folder of the JUnit file *path*.
 
     Raises:
-        FileError: it cannot be made, or the file not be written into it.
+        FileError: the folder cannot be made, or the file cannot be written into it.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(path, f"cannot be written ({os_reason(error)})", _OTHER_JUNIT) from None
+        raise FileError(path, f"cannot be written ({os_reason(error)})", _JUNIT_REMEDY) from None
     if path.is_dir() or not os.access(path.parent, os.W_OK):
         reason = "it is a folder" if path.is_dir() else "nothing can be written into its folder"
-        raise FileError(path, f"cannot be written ({reason})", _OTHER_JUNIT)
+        raise FileError(path, f"cannot be written ({reason})", _JUNIT_REMEDY)
 
 
 def _write_junit(path: Path, results: FolderRows, outcome: tuple[str, str | None] | None) -> None:
+    """Write JUnit XML; *outcome* is the condition of ``--fail-if`` with the reason why it is met, or None."""
     check_junit(path)
     timing = {row["episode"]: row["wall_s"] for row in results.timing}
-    lacking = results.how_to_go_on if results.missing else ""
+    continuation = results.how_to_go_on if results.missing else ""
     names = _net_names(results.episodes, results.failures)
     episodes, failures = (
         [{**row, "net": names[str(row["net"])]} for row in rows]
         for rows in (results.episodes, results.failures)
     )
     try:
-        write_whole(path, junit_xml(episodes, failures, timing, outcome, lacking))
+        write_whole(path, junit_xml(episodes, failures, timing, outcome, continuation))
     except FileError as error:
-        raise FileError(path, error.problem, _OTHER_JUNIT) from None
+        raise FileError(path, error.problem, _JUNIT_REMEDY) from None
 
 
 def _net_names(*tables: Sequence[Row]) -> dict[str, str]:
-    """Return net → its name as one reads it, the same wherever the folder of the nets lies."""
+    """Return net → readable name, which does not depend on the folder of the nets."""
     return place_names(dict.fromkeys(str(row["net"]) for rows in tables for row in rows))
 
 
 def _gate(condition: Condition, overall: Figures) -> str | None:
-    """Return why the condition is met, or cannot be asked since nothing was tested; None where it is not met."""
-    named = overall.named()
-    if not overall.rates["collision_rate"].total and not condition.names & _OF_FAILURES:
+    """Return why the condition is met or cannot be evaluated, since nothing was tested; None if it is not met."""
+    if not overall.rates["collision_rate"].total and not condition.names & _FAILURE_FIGURES:
         return f"--fail-if {condition.text}: no episode finished, so that nothing was tested"
-    return condition_met(condition, named)
+    return condition_met(condition, overall.named())
 
 
-def _untested(condition: Condition, overall: Figures) -> str:
-    """Return what the condition leaves out of sight: episodes that failed or have not been run; "" for nothing."""
-    named = overall.named()
-    lacking = [f"{named[name]} {words}" for name, words in _LACKING.items() if named[name]]
-    if not lacking or condition.names & _OF_FAILURES:
+def _ignored_by(condition: Condition, overall: Figures) -> str:
+    """Return a note on failed and missing episodes if the condition does not consider them; "" if there are none."""
+    figures = overall.named()
+    unfinished = [f"{figures[name]} {text}" for name, text in _UNFINISHED_TEXTS.items() if figures[name]]
+    if not unfinished or condition.names & _FAILURE_FIGURES:
         return ""
     return (
-        f"{in_series(lacking)}, which --fail-if {condition.text} does not ask about; "
+        f"{in_series(unfinished)}, which --fail-if {condition.text} does not ask about; "
         'add "or failures > 0 or missing > 0"'
     )
 
 
 def condition_met(condition: Condition, named: Mapping[str, float | None]) -> str | None:
-    """Return why the condition is met by the figures that are *named*, or cannot be asked; None where it is not."""
+    """Return why the condition is met or cannot be evaluated; None if it is not met.
+
+    Args:
+        condition: that of ``--fail-if``.
+        named: figures by name; None: undefined.
+    """
     try:
-        met = condition.holds(named)
+        is_met = condition.holds(named)
     except Undefined as error:
         return f"--fail-if {condition.text}: {error}"
-    return f"--fail-if {condition.text}: {condition.told(named) or 'always so'}" if met else None
+    return f"--fail-if {condition.text}: {condition.told(named) or 'always so'}" if is_met else None
 
 
 def _print(console: Console, results: FolderRows, overall: Figures) -> None:
+    """Print all tables of *results*; *overall* holds the figures of all episodes."""
     episodes, failures = results.episodes, results.failures
     _print_rates(console, episodes, failures, overall)
     finished = [row for row in episodes if has_outcome(row)]
-    for what, where in (*position_lines(finished), *plan_lines(episodes)):
-        console.print(f"{what} {where}", soft_wrap=True)
+    for subject, text in (*position_lines(finished), *plan_lines(episodes)):
+        console.print(f"{subject} {text}", soft_wrap=True)
     if overall.missing:
         console.print(f"{counted(overall.missing, 'episode')} not run yet", style="yellow")
     if failures:
@@ -156,10 +170,10 @@ def _print(console: Console, results: FolderRows, overall: Figures) -> None:
     if clusters:
         _print_findings(console, clusters)
     if episodes:
-        print_worst(console, worst_first(episodes)[:_WORST])
+        print_worst(console, worst_first(episodes)[:_LISTED_WORST])
         _print_coverage(console, results.plan, episodes)
     if not results.of_run or any(row["attacker_manoeuvre"] is not None for row in episodes):
-        _print_archive(console, episodes)  # what each vehicle did is not kept by a finished run
+        _print_archive(console, episodes)  # a finished run may lack the manoeuvres of vehicles
 
 
 def _print_rates(
@@ -180,24 +194,24 @@ def _print_rates(
             "arrives",
             "failed",
         ),
-        dispensable=(*_OF_RATES, "failed") if failures else ("failed", *_OF_RATES),
+        dispensable=(*_DISPENSABLE_RATES, "failed") if failures else ("failed", *_DISPENSABLE_RATES),
     )
     columns = ("target", "target_options", "background", "background_options", "net")
     names = _net_names(episodes, failures)
     for key, figures in by_kind(episodes, failures, columns).items():
         target, target_options, background, background_options, net = key
         table.add_row(
-            target + _short(target_options),
-            background + _short(background_options),
+            target + _options_text(target_options),
+            background + _options_text(background_options),
             names[net],
-            *_cells(figures),
+            *_rate_cells(figures),
         )
     table.add_section()
-    table.add_row("all", "", "", *_cells(overall))
+    table.add_row("all", "", "", *_rate_cells(overall))
     table.print(console)
 
 
-def _cells(figures: Figures) -> list[str]:
+def _rate_cells(figures: Figures) -> list[str]:
     names = (
         "valid_failure_rate",
         "critical_rate",
@@ -211,7 +225,7 @@ def _cells(figures: Figures) -> list[str]:
 
 
 def rate_text(rate: Rate) -> str:
-    """Return a rate with its interval, in percent."""
+    """Return a rate with its interval, in percent; "–" if it is undefined."""
     if rate.share is None or rate.low is None or rate.high is None:
         return "–"
     return f"{100 * rate.share:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
@@ -232,24 +246,26 @@ def _print_findings(console: Console, clusters: Sequence[Finding]) -> None:
     valid = sum(finding.valid for finding in clusters)
     title = f"{counted(len(clusters), 'finding')} in {counted(total, 'collision')}; valid failures: {valid}"
     heads = ("valid", "collisions", "type", "where", "at fault", "targets", "the worst of them")
-    table = _table(title, *heads, dispensable=_OF_FINDINGS)
-    for finding in clusters[:_FINDINGS]:
+    table = _table(title, *heads, dispensable=_DISPENSABLE_FINDINGS)
+    for finding in clusters[:_LISTED_FINDINGS]:
         table.add_row(
             str(finding.valid),
             str(len(finding.episodes)),
             finding.type,
             finding.junction_type,
-            _counts(finding.at_fault),
-            _counts({name + _short(options): count for (name, options), count in finding.targets.items()}),
+            _counts_text(finding.at_fault),
+            _counts_text(
+                {name + _options_text(options): count for (name, options), count in finding.targets.items()}
+            ),
             str(finding.worst["key"]),
         )
     table.print(console)
-    if len(clusters) > _FINDINGS:
-        console.print(f"… and {len(clusters) - _FINDINGS} more")
+    if len(clusters) > _LISTED_FINDINGS:
+        console.print(f"… and {len(clusters) - _LISTED_FINDINGS} more")
 
 
 def print_worst(console: Console, rows: Sequence[Row]) -> None:
-    """Print *rows* of episodes, each with the options that its target and background have in the table of rates."""
+    """Print *rows* of episodes; targets and backgrounds have the same names, with options, as in the table of rates."""
     table = _table(
         "the worst episode" if len(rows) == 1 else f"the {len(rows)} worst episodes",
         "key",
@@ -258,39 +274,40 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
         "what",
         "TTC",
         "clearance",
-        dispensable=_OF_WORST,
+        dispensable=_DISPENSABLE_WORST,
     )
     for row in rows:
-        what = row["end"]
+        outcome = row["end"]
         if row["target_collision"]:
-            what = f"{row['collision_type']}, at fault: {row['at_fault']}"
-            what = f"valid failure: {what}" if is_valid_failure(row) else what
-            what += ", then failed" if is_failure(row) else ""
+            outcome = f"{row['collision_type']}, at fault: {row['at_fault']}"
+            outcome = f"valid failure: {outcome}" if is_valid_failure(row) else outcome
+            outcome += ", then failed" if is_failure(row) else ""
         elif row.get("critical"):
-            what = f"critical near miss, {resolution_clause(row['resolved_by'])}"
-        values = (_value(row["min_ttc_s"], "s"), _value(row["min_clearance_m"], "m"))
-        who = (row[side] + _short(row[f"{side}_options"]) for side in ("target", "background"))
-        table.add_row(row["key"], *who, what, *values)
+            outcome = f"critical near miss, {resolution_clause(row['resolved_by'])}"
+        values = (_value_text(row["min_ttc_s"], "s"), _value_text(row["min_clearance_m"], "m"))
+        sides = (row[side] + _options_text(row[f"{side}_options"]) for side in ("target", "background"))
+        table.add_row(row["key"], *sides, outcome, *values)
     table.print(console)
 
 
 def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) -> None:
     attacks = [job_row(plan.jobs[0], options)["attack"] for options in plan.cells]
-    tried = coverage(episodes, attacks, plan.junction_types)
+    covered = coverage(episodes, attacks, plan.junction_types)
+    combinations = counted(len(covered.cells), "combination")
     table = _table(
-        f"coverage: {100 * tried.share:.0f} % of {counted(len(tried.cells), 'combination')}; collisions / episodes",
+        f"coverage: {100 * covered.share:.0f} % of {combinations}; collisions / episodes",
         *("attack", "junction", *bands()),
     )
-    for attack in tried.attacks:
-        for junction in tried.junctions:
-            cells = (tried.cells[attack, junction, band] for band in bands())
+    for attack in covered.attacks:
+        for junction in covered.junctions:
+            cells = (covered.cells[attack, junction, band] for band in bands())
             counts = (f"{c.collisions} / {c.episodes}" if c.episodes else "–" for c in cells)
             table.add_row(attack, junction, *counts)
     table.print(console)
 
 
 def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
-    """Print which encounters came about and in which of them targets failed, where a background attacked."""
+    """Print which kinds of encounters occurred, and in which of them targets failed; only if a background attacked."""
     cells = archive(row for row in episodes if row["attack_kind"] is not None)
     if not cells:
         return
@@ -307,23 +324,24 @@ def _print_archive(console: Console, episodes: Sequence[Row]) -> None:
 
 
 def _table(title: str, *columns: str, dispensable: Sequence[str] = ()) -> FittedTable:
-    return FittedTable(title, columns, _WHOLE, _ALIKE, dispensable)
+    return FittedTable(title, columns, _UNBROKEN_COLUMNS, _CONSTANT_COLUMNS, dispensable)
 
 
-def _counts(counts: Mapping[str, int]) -> str:
+def _counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in counts.items())
 
 
-def _short(options: str) -> str:
+def _options_text(options: str) -> str:
+    """Return *options*, a JSON object, in short form with a leading space; "" if there are none."""
     return "" if options == "{}" else " " + options.strip("{}").replace(',"', ', "').replace('"', "")
 
 
-def _value(value: float | None, unit: str) -> str:
+def _value_text(value: float | None, unit: str) -> str:
     return "–" if value is None else f"{value:.2f} {unit}"
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as people say it."""
+    """Return a duration in seconds, minutes or hours."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"

@@ -1,4 +1,4 @@
-"""Where the verbs print: a terminal, or a pipe or file, whose lines are as long as what stands in them."""
+"""Output of the verbs: consoles, progress bars, tables and JSON."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rich.text import Text
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-#: Width in characters of what is not a terminal; wider than any of our tables, which take no more than they need.
+#: Width in characters of a pipe or file. It is wider than any table of ours, and tables are no wider than needed.
 PIPED_WIDTH = 1000
 
 
 def terminal(**options: Any) -> Console:
     """Return a console; *options* are those of :class:`rich.console.Console`.
 
-    What is printed is plain text: names, paths and messages may hold ``[brackets]`` and ``:colons:``, in which Rich
-    would see colours and pictures. Colours are given as ``style`` or as :class:`rich.text.Text`.
+    The console prints plain text: names, paths and messages may contain ``[brackets]`` and ``:colons:``, which Rich
+    would interpret as markup and emoji. Give colours as ``style`` or as :class:`rich.text.Text`.
 
-    Rich takes a pipe for 80 columns and breaks tables in it, within words, too. Here they are broken only where
-    a person looks at them, or where the variable ``COLUMNS`` says how wide the output is to be.
+    Rich assumes 80 columns for a pipe and breaks tables, even within words. Here, tables are fitted to a width only in
+    a terminal, or if the variable ``COLUMNS`` gives the width.
     """
     console = Console(markup=False, emoji=False, **options)
     if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
@@ -35,8 +35,8 @@ def terminal(**options: Any) -> Console:
 
 
 def progress_bar(console: Console, transient: bool = False) -> Progress:
-    """Return a bar with counts and the time left, shown where a person looks; *transient*: it vanishes at the end."""
-    from rich.progress import (  # late: --help
+    """Return a bar with counts and remaining time, shown only in a terminal; *transient*: it disappears at the end."""
+    from rich.progress import (  # late: --help is quick
         BarColumn,
         MofNCompleteColumn,
         Progress,
@@ -56,17 +56,17 @@ def progress_bar(console: Console, transient: bool = False) -> Progress:
 
 
 class Bars:
-    """One bar after the other.
+    """Progress bars, one below the other.
 
     Attributes:
-        said: the sentences that were printed above them.
+        said: the sentences that were printed above the bars.
     """
 
     def __init__(self, console: Console) -> None:
         self.said: list[str] = []
         self._bar = progress_bar(console)
         self._task: TaskID | None = None
-        self._what = ""
+        self._title = ""
 
     def __enter__(self) -> Bars:
         self._bar.start()
@@ -76,14 +76,14 @@ class Bars:
         self._bar.stop()
 
     def begin(self, what: str, total: int, done: int = 0) -> None:
-        """Begin a bar."""
-        self._what = what
+        """Begin a bar with the title *what* at *done* of *total* steps."""
+        self._title = what
         self._task = self._bar.add_task(what, total=total, completed=done)
 
     def step(self, words: str = "") -> None:
-        """Go one step on."""
+        """Advance by one step and show *words* behind the title."""
         if self._task is not None:
-            description = f"{self._what} · {words}" if words else self._what
+            description = f"{self._title} · {words}" if words else self._title
             self._bar.update(self._task, advance=1, description=description)
 
     def say(self, sentence: str) -> None:
@@ -93,13 +93,13 @@ class Bars:
 
 
 def findings_table(findings: Iterable[tuple[Text, str, str]]) -> Table:
-    """Return states, what they are of and what was found as a table without lines."""
+    """Return findings (state, topic, text) as a table without lines."""
     table = Table(show_header=False, box=None, padding=(0, 1))
     for _ in range(2):
         table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for state, what, found in findings:
-        table.add_row(state, what, Text(found))
+    for state, topic, text in findings:
+        table.add_row(state, topic, Text(text))
     return table
 
 

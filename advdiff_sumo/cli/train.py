@@ -1,4 +1,4 @@
-"""``advdiff-sumo train``."""
+"""``advdiff-sumo train``: train one stage of the model."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def train(
     name = _stage(stage)
     flags.use_threads(threads)
     assignments = [*(assign or []), *([f'codec="{codec}"'] if codec else [])]
-    plan = TrainingRequest(
+    request = TrainingRequest(
         stage=name,
         data=tuple(data),
         out=out,
@@ -97,16 +97,16 @@ def train(
         max_minutes=max_minutes,
         loaders=loaders,
     )
-    job = prepare(plan)
+    job = prepare(request)
     claim(out, resume)
     with training_into(out):
-        done = _train(job, resume, terminal(stderr=True, highlight=False))
-    if done and judged and name != "simnet":  # its own figures are said when it ends
+        is_finished = _train(job, resume, terminal(stderr=True, highlight=False))
+    if is_finished and judged and name != "simnet":  # simnet prints its own figures at the end
         _judge(job, judged)
 
 
 def _judge(job: TrainingJob, windows: int) -> None:
-    """Print the table of the trained weights on so many held-out *windows*, and keep it beside them."""
+    """Judge the trained weights on at most *windows* held-out windows, and write the table beside the weights."""
     from advdiff_sumo.models.bundle import load_bundle
     from advdiff_sumo.models.shipped_weights import WEIGHTS
     from advdiff_sumo.training.evaluation import EvaluationSettings
@@ -115,53 +115,57 @@ def _judge(job: TrainingJob, windows: int) -> None:
     judge_and_show(bundle, job.held_out, judging, job.device, job.out / "evaluation.json")
 
 
-def _stage(asked: str) -> StageName:
-    """Return the stage that the user asked for.
+def _stage(name: str) -> StageName:
+    """Return the stage *name*.
 
     Raises:
-        UnknownNameError: there is none of that name.
+        UnknownNameError: there is no such stage.
     """
     from advdiff_sumo.training.presets import STAGES
 
     for known in STAGES:
-        if known == asked:
+        if known == name:
             return known
-    raise UnknownNameError("stage", asked, STAGES)
+    raise UnknownNameError("stage", name, STAGES)
 
 
 def _options(
-    name: StageName, preset_name: str | None, assignments: list[str], begun: Path | None
+    name: StageName, preset_name: str | None, assignments: list[str], resumed: Path | None
 ) -> TrainOptions:
-    """Return the options given, or those of the training *begun* where none are given."""
+    """Return the given options; if none are given, those of the training in the folder *resumed*."""
     from advdiff_sumo.training import checkpoint
     from advdiff_sumo.training.presets import TrainOptions, preset
 
-    if begun is not None and preset_name is None and not assignments:
-        progress, _ = checkpoint.load(begun)
-        return TrainOptions.parse(progress.options, str(begun / checkpoint.NAME))
+    if resumed is not None and preset_name is None and not assignments:
+        progress, _ = checkpoint.load(resumed)
+        return TrainOptions.parse(progress.options, str(resumed / checkpoint.NAME))
     return preset(preset_name or "small", name, assignments)
 
 
 def claim(out: Path, resume: bool) -> None:
-    """Make the folder; refuse one that holds anything, unless that is a training to go on with."""
+    """Make the folder *out* for a new training; do nothing if one is resumed.
+
+    Raises:
+        FileError: the folder cannot be used or is not empty.
+    """
     if resume:
         return
     try:
         out.mkdir(parents=True, exist_ok=True)
-        held = sorted(path.name for path in out.iterdir())
+        names = sorted(path.name for path in out.iterdir())
     except OSError as error:
         raise FileError(out, f"cannot be used ({os_reason(error)})", "choose another --out") from None
-    if held:
-        raise FileError(out, f"is not empty ({held[0]})", "choose another --out, or add --resume")
+    if names:
+        raise FileError(out, f"is not empty ({names[0]})", "choose another --out, or add --resume")
 
 
 def _train(job: TrainingJob, resume: bool, console: Console) -> bool:
-    """Train and say how it ended; return whether it has."""
+    """Train, and print the result; return whether the training is finished."""
     from advdiff_sumo.training import history
     from advdiff_sumo.training.training_loop import Trainer
 
     with progress_bar(console) as bar:
-        trainer = Trainer(job, history.NoEvents(), _teller(bar, job))
+        trainer = Trainer(job, history.NoEvents(), _progress_callback(bar, job))
         if resume:
             trainer.resume()
         events = history.open_events(job.out / "events", trainer.progress.step)
@@ -171,27 +175,30 @@ def _train(job: TrainingJob, resume: bool, console: Console) -> bool:
             )
         trainer.events = events or history.NoEvents()
         progress = trainer.run()
-    _say(console, job, progress)
+    _print_result(console, job, progress)
     return progress.done
 
 
-def _teller(bar: Progress, job: TrainingJob) -> Tell:
-    """Return what shows the progress: epochs, the loss, the last held-out figure, time left."""
+def _progress_callback(bar: Progress, job: TrainingJob) -> Tell:
+    """Return a function that shows the epoch, the loss, the last held-out figure and the remaining time in *bar*."""
     task = bar.add_task(job.stage.name)
 
-    def tell(state: State, per_epoch: int, terms: dict[str, float]) -> None:
-        held = f" · held out {state.history[-1]['held_out'][job.stage.monitor]:.3f}" if state.history else ""
+    def show(state: State, per_epoch: int, terms: dict[str, float]) -> None:
+        held_out = (
+            f" · held out {state.history[-1]['held_out'][job.stage.monitor]:.3f}" if state.history else ""
+        )
         bar.update(
             task,
             total=per_epoch * job.options.epochs,
             completed=state.step,
-            description=f"epoch {state.epoch + 1} · loss {terms['loss']:.3f}{held}",
+            description=f"epoch {state.epoch + 1} · loss {terms['loss']:.3f}{held_out}",
         )
 
-    return tell
+    return show
 
 
-def _say(console: Console, job: TrainingJob, state: State) -> None:
+def _print_result(console: Console, job: TrainingJob, state: State) -> None:
+    """Print the figures of the best epoch; if the training was stopped early, how to continue it."""
     if not state.done:
         console.print(
             f"stopped in epoch {state.epoch + 1}; go on with --resume --out {job.out}", soft_wrap=True

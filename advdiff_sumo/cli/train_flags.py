@@ -1,4 +1,4 @@
-"""Options that the commands about training share."""
+"""Options that the training commands have in common."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with th
 
 
 def use_threads(threads: int | None) -> None:
-    """Let PyTorch compute on so many *threads*; None: on all."""
+    """Let PyTorch use *threads* CPU threads; None: all."""
     import torch  # late: --help needs no PyTorch
 
     if threads is not None:

@@ -1,4 +1,4 @@
-"""``advdiff-sumo train-rl``."""
+"""``advdiff-sumo train-rl``: train the attacker of background adv-rl."""
 
 from __future__ import annotations
 
@@ -61,28 +61,32 @@ def train_rl(
     --out gets actor.safetensors, checkpoint.safetensors (for --resume), metrics.jsonl, curves.png and events for
     TensorBoard. Ctrl-C leaves with the last update. Needs: pip install 'advdiff-sumo\[rl]'.
     """
-    import advdiff_sumo.rl  # noqa: F401 - first: it says which extra is missing
+    import advdiff_sumo.rl  # noqa: F401 - imported first: its error names a missing extra
     from advdiff_sumo.rl.sources import check
     from advdiff_sumo.rl.train import ACTOR, PpoTraining, train
 
     given: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
     adversary, ppo = _options({key: value for key, value in given.items() if value}, assign or [])
-    plan = PpoTraining(out, steps, seed, adversary, ppo, workers)
+    training = PpoTraining(out, steps, seed, adversary, ppo, workers)
     check(adversary)
     claim(out, resume)
     console = terminal(stderr=True, highlight=False)
     with training_into(out), progress_bar(console) as bar:
         task = bar.add_task("steps", total=steps)
 
-        def tell(done: int, history: list[Record]) -> None:
-            bar.update(task, completed=done, description=_described(history))
+        def show(done: int, history: list[Record]) -> None:
+            bar.update(task, completed=done, description=_progress_text(history))
 
-        state = train(plan, resume, tell)
-    _say(console, out / ACTOR, state)
+        state = train(training, resume, show)
+    _print_result(console, out / ACTOR, state)
 
 
 def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
-    """Return the options of the environment, and of PPO, which ``--set`` names "ppo.…"."""
+    """Return the options of the environment, and those of PPO, which are set as ``ppo.NAME``.
+
+    Raises:
+        ConfigError: an option is unknown or unusable.
+    """
     from advdiff_sumo.rl.rl_options import PpoOptions, adversary_options
 
     values = dict(given)
@@ -94,17 +98,19 @@ def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOp
     return adversary_options(values), PpoOptions.parse(ppo, "options of ppo")
 
 
-def _described(history: list[Record]) -> str:
+def _progress_text(history: list[Record]) -> str:
+    """Return the text of the progress bar: mean reward and collisions of the last update, if there is one."""
     if not history or "reward" not in history[-1]["train"]:
         return "steps"
     last = history[-1]["train"]
     return f"reward {last['reward']:.2f} · collisions {100.0 * last['collision']:.0f} %"
 
 
-def _say(console: Console, actor: Path, state: State) -> None:
-    figures = [r["train"]["reward"] for r in state.history if "reward" in r["train"]]
-    came = f": reward {figures[0]:.2f} → {figures[-1]:.2f} an episode" if len(figures) > 1 else ""
+def _print_result(console: Console, actor: Path, state: State) -> None:
+    """Print the numbers of steps and updates, and how the reward has changed."""
+    rewards = [r["train"]["reward"] for r in state.history if "reward" in r["train"]]
+    change = f": reward {rewards[0]:.2f} → {rewards[-1]:.2f} an episode" if len(rewards) > 1 else ""
     console.print(
-        f"{actor}: {counted(state.step, 'step')}, {counted(len(state.history), 'update')}{came}",
+        f"{actor}: {counted(state.step, 'step')}, {counted(len(state.history), 'update')}{change}",
         soft_wrap=True,
     )

@@ -1,4 +1,4 @@
-"""``advdiff-sumo verdict``: of a finished run or sweep, or of a recorded scenario."""
+"""``advdiff-sumo verdict``: judge the collisions of a finished run or sweep, or of a recorded scenario."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def verdict(
     Judges a road user of a CommonRoad scenario, another driving log or an exported file, and writes nothing.
     """
     if net:
-        _scenarios(folder, net, target, search, as_json)
+        _judge_scenarios(folder, net, target, search, as_json)
         return
     if target:
         raise ConfigError("--target is for scenarios, which need --net, too; a run knows its target")
@@ -70,33 +70,39 @@ def verdict(
     with progress_bar(console) as bar:
         task = bar.add_task("episodes judged", total=judging.count)
         rows = judging.judge(workers or cores(), lambda: bar.advance(task), search)
-    _say(console, rows, search)
+    _print_counts(console, rows, search)
     if (folder / "report.html").exists():
         console.print(f"look at {write_report(folder)}", soft_wrap=True)
     if as_json:
         print_json(run_object(folder))
 
 
-def _say(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
-    """Say what those of *rows* with an outcome came to; *search*: and how many collisions nobody avoids."""
+def _print_counts(console: Console, rows: Sequence[Mapping[str, Any]], search: bool) -> None:
+    """Print the numbers of collisions, valid failures, near misses and rule breaches.
+
+    Args:
+        console: receives the text.
+        rows: of ``episodes.parquet``; those without an outcome are counted as failed.
+        search: whether to print the number of unavoidable collisions, too.
+    """
     from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_valid_failure
 
-    lost = sum(not has_outcome(row) for row in rows)
+    failed = sum(not has_outcome(row) for row in rows)
     rows = [row for row in rows if has_outcome(row)]
-    hits = [row for row in rows if row["target_collision"]]
+    collided = [row for row in rows if row["target_collision"]]
     valid, critical = sum(map(is_valid_failure, rows)), sum(bool(row["critical"]) for row in rows)
-    collisions = f"{counted(len(hits), 'collision')} of the target: {counted(valid, 'valid failure')}"
+    collisions = f"{counted(len(collided), 'collision')} of the target: {counted(valid, 'valid failure')}"
     console.print(f"{counted(len(rows), 'episode')}, {collisions}")
     console.print(counted(critical, "critical near miss"))
     console.print(f"{counted(sum(map(broke_rule, rows)), 'episode')} in which the target broke a rule")
-    if lost:
-        console.print(f"{counted(lost, 'episode')} failed: not judged")
+    if failed:
+        console.print(f"{counted(failed, 'episode')} failed: not judged")
     if search:
-        console.print(f"{sum(bool(row['unavoidable']) for row in hits)} unavoidable")
+        console.print(f"{sum(bool(row['unavoidable']) for row in collided)} unavoidable")
 
 
-def _scenarios(path: Path, net: str, target: str, search: bool, as_json: bool) -> None:
-    """Say what came of each scenario in *path*."""
+def _judge_scenarios(path: Path, net: str, target: str, search: bool, as_json: bool) -> None:
+    """Judge and print each scenario in *path*; *target* is the road user to judge, "" the default one."""
     from advdiff_sumo.experiments.judge_scenario import judge_scenario, outcome, read_scenarios  # as above
     from advdiff_sumo.maps import RoadMap
     from advdiff_sumo.maps.shipped_nets import find_net

@@ -1,4 +1,4 @@
-"""``advdiff-sumo video``."""
+"""``advdiff-sumo video``: film an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``advdiff-sumo warmup``."""
+"""``advdiff-sumo warmup``: learn in which encounters a target fails."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def warmup(
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given
 
-    _check_out(out)
+    _check_writable(out)
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
     policy |= {"attack": attack, "weights": flags.weights_of(weights), "device": device}
     background = background or ("diffusion" if licence == "reckless" else "scripted")
@@ -72,8 +72,13 @@ def warmup(
         terminal().print(line, soft_wrap=True)
 
 
-def _check_out(out: Path) -> None:
-    """Refuse a file that cannot be written, before the warm-up, which takes minutes."""
+def _check_writable(out: Path) -> None:
+    """Check that the file *out* can be written, before the warm-up, which takes minutes.
+
+    Raises:
+        ConfigError: its name does not end in ``.safetensors``.
+        FileError: its folder does not exist or cannot be written into.
+    """
     if out.suffix != ".safetensors":
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")
     if not out.parent.is_dir():
@@ -85,7 +90,7 @@ def _check_out(out: Path) -> None:
 def _warm_up(
     options: RunOptions, steps: int, out: Path, licence: str | None, timeout_s: float
 ) -> Sequence[str]:
-    """Learn in *steps* plans behind a bar, and return what there is to say of it."""
+    """Learn from *steps* plans with a progress bar; return the lines to print about the result."""
     from advdiff_sumo.experiments.warmup_worker import warm_up_in_worker  # late: --help needs no simulator
 
     with ExitStack() as stack:
@@ -100,7 +105,7 @@ def _warm_up(
             limits,
             timeout_s,
             lambda plans: progress.update(task, completed=plans),
-            lambda said: typer.echo(said, err=True),
+            lambda line: typer.echo(line, err=True),
         )
         progress.update(task, completed=steps)
     return lines

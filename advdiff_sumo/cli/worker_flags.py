@@ -1,4 +1,4 @@
-"""Workers and what they may take, as options of the commands that run episodes in them."""
+"""Options for workers and their limits, for the commands that run episodes in workers."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ PLAN_TIMEOUT_S, MEMORY_MB = 300.0, 4000
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def end_as_by_ctrl_c() -> None:
-    """Let SIGTERM end this process as Ctrl-C does: what is finished is kept."""
+    """Let SIGTERM end this process in the same way as Ctrl-C, so that finished work is kept."""
 
     def interrupt(*_signal: object) -> None:
         raise KeyboardInterrupt
@@ -54,7 +54,7 @@ def end_as_by_ctrl_c() -> None:
 def limits_of(
     stack: ExitStack, timeout_s: float, plan_timeout_s: float = math.inf, memory_mb: int = MEMORY_MB
 ) -> WorkerLimits:
-    """Return limits with a folder for logs, which goes when *stack* is left."""
+    """Return limits of workers with a temporary folder for logs, which is removed when *stack* is closed."""
     from advdiff_sumo.sweep.tasks import WorkerLimits  # late: --help needs no simulator
 
     logs = Path(tempfile.mkdtemp(prefix="advdiff-logs-"))

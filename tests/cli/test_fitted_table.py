@@ -1,4 +1,4 @@
-"""Tables in terminals of every width: no heading is broken within a word, and what is left out is said."""
+"""Tables in terminals of every width: no heading is broken within a word, and left-out columns are named."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def _table() -> FittedTable:
     table = FittedTable(
         "rates",
         ("target", "net", "valid failures", "arrives", "key"),
-        whole=("key",),
-        alike=("net",),
+        unbroken=("key",),
+        constant=("net",),
         dispensable=("arrives",),
     )
     table.add_row("lane_graph a:1, b:2", "downtown", "0.0 [0.0, 65.8]", "0.0 [0.0, 65.8]", "k" * 10)
@@ -30,9 +30,9 @@ def _printed(table: FittedTable, width: int) -> list[str]:
     return sink.getvalue().splitlines()
 
 
-# In full the columns take 19 + 8 + 15 + 15 + 10 characters and 3 each for the frame, and one: 83. At least they take
-# 10 (lane_graph) + 8 (downtown) + 8 (failures) + 7 (arrives) + 10 (the key) + 16 = 59; without net 48, and without
-# arrives 38.
+# Full width: columns of 19 + 8 + 15 + 15 + 10 characters and a frame of 5 * 3 + 1, 83 in all. Least width:
+# 10 (lane_graph) + 8 (downtown) + 8 (failures) + 7 (arrives) + 10 (the key) + 16 = 59; 48 without net, and 38 without
+# arrives, too.
 @pytest.mark.parametrize(
     ("width", "left_out"),
     [
@@ -46,9 +46,9 @@ def _printed(table: FittedTable, width: int) -> list[str]:
 )
 def test_no_word_of_a_heading_is_broken(width: int, left_out: str | None) -> None:
     lines = _printed(_table(), width)
-    told = [line for line in lines if line.startswith("no room")]
-    words = f"no room for columns: {left_out}; a wider terminal or a file shows them"
-    assert told == ([] if left_out is None else [words])
+    notes = [line for line in lines if line.startswith("no room")]
+    note = f"no room for columns: {left_out}; a wider terminal or a file shows them"
+    assert notes == ([] if left_out is None else [note])
     drawn = [line for line in lines if line[0] in "┃│┏┡├└"]
     assert max(map(len, drawn)) <= width
     heads = "".join(line for line in drawn if line.startswith("┃"))
@@ -64,19 +64,19 @@ def test_all_room_is_used() -> None:
     assert len(_printed(_table(), 48)) > len(_printed(_table(), 83))
 
 
-def test_of_many_columns_some_are_named() -> None:
+def test_only_the_first_left_out_columns_are_named() -> None:
     heads = [f"column_{k}" for k in range(12)]
     table = FittedTable("", heads, dispensable=heads[:0:-1])
     table.add_row(*heads)
-    said = _printed(table, 24)  # room for the first two, of eight characters each
+    lines = _printed(table, 24)  # room for the first two columns, of eight characters each
     names = ", ".join(heads[2:10])
-    assert said[-1] == f"no room for columns: {names}, … (10); a wider terminal or a file shows them"
+    assert lines[-1] == f"no room for columns: {names}, … (10); a wider terminal or a file shows them"
 
 
 def test_columns_that_differ_are_kept_though_there_is_no_room() -> None:
-    table = FittedTable("", ("net", "target"), alike=("net", "target"))
+    table = FittedTable("", ("net", "target"), constant=("net", "target"))
     table.add_row("downtown", "IDM")
     table.add_row("motorway", "IDM")
-    said = _printed(table, 14)
-    assert said[-1].startswith("no room for columns: target (IDM); ")
-    assert any("downtown" in line for line in said)
+    lines = _printed(table, 14)
+    assert lines[-1].startswith("no room for columns: target (IDM); ")
+    assert any("downtown" in line for line in lines)

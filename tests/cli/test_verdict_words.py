@@ -1,14 +1,14 @@
-"""What verdict says of an episode, in the singular where there is one."""
+"""The counts that ``verdict`` prints, in the singular for one."""
 
 from __future__ import annotations
 
 import io
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.cli.verdict import _say
+from advdiff_sumo.cli.verdict import _print_counts
 
 
-def test_one_of_each_is_told_in_the_singular() -> None:
+def test_one_of_each_is_in_the_singular() -> None:
     sink = io.StringIO()
     row = {
         "end": "horizon",
@@ -17,7 +17,7 @@ def test_one_of_each_is_told_in_the_singular() -> None:
         "critical": True,
         "offences": 1,
     }
-    _say(terminal(file=sink), [row], search=False)
+    _print_counts(terminal(file=sink), [row], search=False)
     assert sink.getvalue().splitlines() == [
         "1 episode, 0 collisions of the target: 0 valid failures",
         "1 critical near miss",
@@ -25,9 +25,9 @@ def test_one_of_each_is_told_in_the_singular() -> None:
     ]
 
 
-def test_failed_episodes_are_named_as_not_judged() -> None:
+def test_failed_episodes_are_counted_as_not_judged() -> None:
     sink = io.StringIO()
-    _say(terminal(file=sink), [{"end": "failed", "target_collision": False}], search=False)
+    _print_counts(terminal(file=sink), [{"end": "failed", "target_collision": False}], search=False)
     assert sink.getvalue().splitlines() == [
         "0 episodes, 0 collisions of the target: 0 valid failures",
         "0 critical near misses",

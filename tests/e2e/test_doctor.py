@@ -49,13 +49,13 @@ def test_a_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_packages_of_sumo_in_several_versions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checks, "_version", {"eclipse-sumo": "1", "libsumo": "2", "sumolib": "2"}.get)
     monkeypatch.setattr(checks, "NEEDED_BINARIES", ())
-    monkeypatch.setattr(checks, "WELCOME_BINARIES", ())
+    monkeypatch.setattr(checks, "OPTIONAL_BINARIES", ())
     assert states(checks.sumo)["SUMO"][::2] == (CheckState.PROBLEM, "install all three in one version")
 
 
 def test_programs_that_do_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checks, "NEEDED_BINARIES", ("no-such-program",))
-    monkeypatch.setattr(checks, "WELCOME_BINARIES", ("no-such-gui",))
+    monkeypatch.setattr(checks, "OPTIONAL_BINARIES", ("no-such-gui",))
     found = states(checks.sumo)
     assert found["no-such-program"][0] is CheckState.PROBLEM
     assert found["no-such-gui"][0] is CheckState.NOTE

@@ -1,8 +1,8 @@
-"""Speed of the episode loop beside a bare libsumo loop: make bench.
+"""Compare the speed of the episode loop with that of a bare libsumo loop: make bench.
 
-Both loops move the same vehicles along the same poses in the same net, one after the other in one process, so
-that their ratio does not depend on the machine. The bare loop only calls moveToXY for each vehicle, steps, and
-reads all states in one subscription read.
+Both loops move the same vehicles along the same poses in the same net. They run one after the other in one process, so
+that their ratio does not depend on the machine. The bare loop only calls moveToXY for each vehicle, steps, and reads
+all states from one subscription.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ STEPS, REPEATS = 300, 5
 def made_up_log(
     road: RoadMap, vehicles: int, duration_s: float, seed: int
 ) -> tuple[Tracks, list[tuple[str, ...]]]:
-    """Return vehicles that follow lanes at a steady speed for *duration_s*, from 2 s before instant 0."""
+    """Return tracks and routes of vehicles that follow lanes at a constant speed, from −2 s to *duration_s*."""
     rng = np.random.default_rng(seed)
     edges = sorted(road.edge_graph().strongly_connected())
     dt, history = 0.5, 2.0
@@ -87,7 +87,7 @@ def scene_of(road: RoadMap, log: Tracks, routes: list[tuple[str, ...]], duration
 
 
 def our_rate(road: RoadMap, scene: SeedScene) -> float:
-    """Return steps per second of the episode loop: plan, move, step, read, check for contact, record."""
+    """Return steps per second of the episode loop, which plans, moves, steps, reads, checks contacts and records."""
     sim = SimOptions(stop_at_collision=False, record_radius_m=1e6)
     episode = Episode(
         number=0,
@@ -111,7 +111,13 @@ def our_rate(road: RoadMap, scene: SeedScene) -> float:
 
 
 def bare_rate(road: RoadMap, scene: SeedScene, keep_route: int) -> float:
-    """Return steps per second of a loop that only moves and reads the same vehicles."""
+    """Return steps per second of a loop that only moves and reads the same vehicles.
+
+    Args:
+        road: the net.
+        scene: its log is driven, except for the target.
+        keep_route: that of moveToXY; 2: any edge, 3: an edge of the vehicle's own route.
+    """
     log = scene.log
     options = SessionOptions(net=road.path, seed=1)
     names = [name for name in log.ids if name != scene.target]
@@ -150,7 +156,7 @@ def _move_all(
 
 
 def main() -> None:
-    """Print the table."""
+    """Measure the loops and print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -174,12 +180,12 @@ def main() -> None:
         duration = (STEPS + 10) * 0.1
         log, routes = made_up_log(road, moved + 1, duration, seed=moved)
         scene = scene_of(road, replace(log), routes, duration)
-        ours, loose, tight = ([] for _ in range(3))
-        for _ in range(REPEATS):  # side by side, so that a busy machine slows all three alike
-            ours.append(our_rate(road, scene))
-            loose.append(bare_rate(road, scene, 2))
-            tight.append(bare_rate(road, scene, 3))
-        a, b, c = (statistics.median(v) for v in (ours, loose, tight))
+        our_rates, any_edge_rates, own_route_rates = ([] for _ in range(3))
+        for _ in range(REPEATS):  # in turn, so that a busy machine slows all three equally
+            our_rates.append(our_rate(road, scene))
+            any_edge_rates.append(bare_rate(road, scene, 2))
+            own_route_rates.append(bare_rate(road, scene, 3))
+        a, b, c = (statistics.median(rates) for rates in (our_rates, any_edge_rates, own_route_rates))
         table.add_row(str(moved), f"{a:,.0f}", f"{b:,.0f}", f"{c:,.0f}", f"{a / b:.2f}", f"{a / c:.2f}")
     Console().print(table)
 

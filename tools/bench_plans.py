@@ -1,10 +1,10 @@
-"""Time of a plan of background 'diffusion' and where it goes, by number of vehicles: make bench.
+"""Measure the time of a plan of background 'diffusion' and of its stages, by number of vehicles: make bench.
 
-Scenes hold vehicles that follow lanes of a shipped net; all but the target are planned. Each row plans the same
-scene with new random numbers each time. "SUMO" is what the episode loop takes for the half second that a plan
-lasts, with as many moved vehicles. The first plans of a process are slower and left out.
+Scenes hold vehicles that follow lanes of a shipped net; all but the target are planned. The plans of a row use a few
+scenes in turn, with new random numbers each time. "SUMO" is the time of the episode loop for the half second between
+two plans, with the same number of moved vehicles. The first plans of a process are slower and are left out.
 
-Where PyTorch finds a GPU, or with --device, a second table has the scenes per second of batched natural sampling.
+If PyTorch finds a GPU, or with --device, a second table has the scenes per second of batched natural sampling.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time
 
 
 class Stopwatch:
-    """Adds up what wrapped functions take within each plan."""
+    """Adds up the times of wrapped functions by stage of a plan."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.clock, self.spent = clock, defaultdict[str, float](float)
 
     def wrap(self, owner: Any, name: str, stage: str, minus: str = "") -> None:
-        """Count the time of ``owner.name`` as *stage*, without what is counted as *minus* within it."""
-        inner = getattr(owner, name)
+        """Count the time of ``owner.name`` as *stage*, except the time of the stage *minus* within it."""
+        function = getattr(owner, name)
 
         def timed(*args: Any, **kwargs: Any) -> Any:
-            begun, before = self.clock(), self.spent[minus]
+            start, before = self.clock(), self.spent[minus]
             try:
-                return inner(*args, **kwargs)
+                return function(*args, **kwargs)
             finally:
-                self.spent[stage] += self.clock() - begun - (self.spent[minus] - before if minus else 0.0)
+                self.spent[stage] += self.clock() - start - (self.spent[minus] - before if minus else 0.0)
 
         setattr(owner, name, timed)
 
@@ -74,7 +74,7 @@ def crowd(road: RoadMap, vehicles: int, seed: int) -> Scene:
 def measure(
     road: RoadMap, policy: DiffusionTraffic, vehicles: int, plans: int, watch: Stopwatch
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (plans,) milliseconds of each plan and (plans, stages) of its parts."""
+    """Return (plans,) the times of plans in ms, and (plans, stages) those of their stages."""
     rng = np.random.default_rng(vehicles)
     totals, parts = [], []
     scenes = [crowd(road, vehicles, seed) for seed in range(4)]
@@ -82,15 +82,15 @@ def measure(
         scene = scenes[number % len(scenes)]
         memory = policy.start(road, scene, None, rng)
         watch.spent.clear()
-        begun = watch.clock()
+        start = watch.clock()
         policy.plan(road, scene, memory, rng)
-        totals.append(1e3 * (watch.clock() - begun))
+        totals.append(1e3 * (watch.clock() - start))
         parts.append([1e3 * watch.spent[stage] for stage in STAGES])
     return np.array(totals[5:]), np.array(parts[5:])
 
 
 def main() -> None:
-    """Print the table."""
+    """Measure and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -119,20 +119,19 @@ def main() -> None:
     console = Console(width=120)
     for guide in arguments.guide:
         policy = DiffusionTraffic(weights=arguments.weights, guide=guide, licence=arguments.licence)
-        how = f"guide {guide}, {arguments.licence}, {policy.options.steps} steps"
-        title = f"one plan in ms ({arguments.clock} time), {road.name}, {how}"
+        setting = f"guide {guide}, {arguments.licence}, {policy.options.steps} steps"
+        title = f"one plan in ms ({arguments.clock} time), {road.name}, {setting}"
         table = Table(title=title, title_justify="left")
         for name in ("vehicles", "median", "99 %", *STAGES, "SUMO", "× real time"):
             table.add_column(name, justify="right")
         for vehicles in arguments.vehicles:
             total, parts = measure(road, policy, vehicles, arguments.plans, watch)
-            sumo = 5e3 / sumo_rate(road, vehicles)
-            share = [f"{value:.1f}" for value in np.median(parts, axis=0)]
-            median, late = np.median(total), np.percentile(total, 99)
-            speed = 500.0 / (median + sumo)
-            table.add_row(
-                str(vehicles), f"{median:.1f}", f"{late:.1f}", *share, f"{sumo:.1f}", f"{speed:.1f}"
-            )
+            sumo_ms = 5e3 / sumo_rate(road, vehicles)
+            stages = [f"{value:.1f}" for value in np.median(parts, axis=0)]
+            median, p99 = np.median(total), np.percentile(total, 99)
+            real_time_factor = 500.0 / (median + sumo_ms)
+            times = (f"{median:.1f}", f"{p99:.1f}", *stages, f"{sumo_ms:.1f}")
+            table.add_row(str(vehicles), *times, f"{real_time_factor:.1f}")
         console.print(table)
     if arguments.device:
         policy = DiffusionTraffic(weights=arguments.weights, guide="none", device=arguments.device)
@@ -140,7 +139,7 @@ def main() -> None:
 
 
 def batched(road: RoadMap, policy: DiffusionTraffic, vehicles: list[int], batches: list[int]) -> Table:
-    """Return scenes per second, by vehicles and by scenes that are sampled at once."""
+    """Return a table of scenes per second by number of vehicles and number of scenes in a batch."""
     device = policy.networks.device
     table = Table(title=f"scenes per second on {device}, {policy.options.steps} steps", title_justify="left")
     for name in ("vehicles", *(f"{count} at once" for count in batches)):
@@ -156,19 +155,19 @@ def sampling_rate(policy: DiffusionTraffic, batch: SceneBatch, rounds: int = 5) 
     networks, generator, times = policy.networks, torch.Generator().manual_seed(0), []
     latent = networks.bundle.options.model.latent
     for _ in range(rounds + 2):
-        begun = time.perf_counter()
+        start = time.perf_counter()
         with torch.no_grad():
             context = draw.encode(networks, batch)
             noise = torch.randn(batch.scenes, batch.agents, 1, latent, generator=generator)
             noise_of = networks.denoiser(context)
             x = sample(noise_of, noise.to(networks.device), networks.schedule, networks.sampling, generator)
             draw.decode(networks, x, context, batch).xy.cpu()  # waits for the device
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - start)
     return batch.scenes / float(np.median(times[2:]))
 
 
 def sumo_rate(road: RoadMap, vehicles: int) -> float:
-    """Return steps per second of the loop without a plan worth mentioning."""
+    """Return steps per second of the episode loop with background ``replay``, whose plans take almost no time."""
     duration = (STEPS + 10) * 0.1
     log, routes = made_up_log(road, vehicles + 1, duration, seed=vehicles)
     return our_rate(road, scene_of(road, log, routes, duration))

@@ -1,4 +1,4 @@
-"""What a call of a remote planner costs on top of the planner's own time, with 30 road users around.
+"""Measure the overhead of a call of a remote planner, with 30 other road users.
 
 Usage: python tools/bench_remote.py [PLANS]
 """
@@ -17,14 +17,14 @@ from advdiff_sumo.maps.shipped_nets import find_net
 from advdiff_sumo.planners.planner_check import planning_times_s
 from advdiff_sumo.planners.remote.remote_planner import RemoteOptions, RemotePlanner
 
-_OBJECTS, _HISTORY = 30, 5
+_OTHERS, _HISTORY_STEPS = 30, 5
 
 
 class Coast:
-    """Plans nothing but keeping its speed, in microseconds."""
+    """A planner that keeps its speed and needs microseconds for a plan."""
 
     def start(self, road: object, scene: Scene, rng: np.random.Generator) -> None:
-        """Remember nothing."""
+        """Return None, since there is nothing to remember."""
 
     def plan(
         self, road: object, scene: Scene, memory: None, rng: np.random.Generator
@@ -35,10 +35,10 @@ class Coast:
 
 
 def crowd() -> Scene:
-    """Return 30 cars and the target on a line."""
-    agents = _OBJECTS + 1
-    shape = agents, _HISTORY
-    x = np.arange(agents)[:, None] * 10.0 + np.arange(_HISTORY) * 4.0
+    """Return the target and 30 other cars in a row."""
+    agents = _OTHERS + 1
+    shape = agents, _HISTORY_STEPS
+    x = np.arange(agents)[:, None] * 10.0 + np.arange(_HISTORY_STEPS) * 4.0
     history = Tracks(
         ids=tuple(f"car{k}" for k in range(agents)),
         classes=np.zeros(agents, dtype=np.int64),
@@ -50,27 +50,27 @@ def crowd() -> Scene:
         t0_s=-2.0,
         dt_s=0.5,
     )
-    routes = (tuple(f"edge{k}" for k in range(20)), *[()] * _OBJECTS)
+    routes = (tuple(f"edge{k}" for k in range(20)), *[()] * _OTHERS)
     return Scene(
         history, 0, np.zeros(agents, dtype=np.bool_), routes, {f"light{k}": "GrGr" for k in range(20)}
     )
 
 
 def main() -> None:
-    """Print the median and the 99 % quantile of a call's time."""
+    """Print the median and the 99 % quantile of the time of a call."""
     plans = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     road, scene = RoadMap.read(find_net("downtown")), crowd()
     planner = RemotePlanner(
         f"exec:{sys.executable} -m advdiff_sumo.planner_kit tools.bench_remote:Coast", RemoteOptions()
     )
-    begun = time.perf_counter()
+    start = time.perf_counter()
     planning_times_s(planner, road, scene, 1)
     print(
-        f"first plan, with the server's start and the map of {road.name}: {time.perf_counter() - begun:.2f} s"
+        f"first plan, with the server's start and the map of {road.name}: {time.perf_counter() - start:.2f} s"
     )
     times_ms = 1e3 * planning_times_s(planner, road, scene, plans)
     p50, p99 = np.quantile(times_ms, (0.5, 0.99))
-    print(f"{plans} plans with {_OBJECTS} others: median {p50:.2f} ms, 99 % {p99:.2f} ms")
+    print(f"{plans} plans with {_OTHERS} others: median {p50:.2f} ms, 99 % {p99:.2f} ms")
     planner.close()
 
 

@@ -1,22 +1,27 @@
-"""Make the machine code of the networks that ships with the package.
+"""Compile the networks to the machine code that is part of the package.
 
     python tools/build_machine_code.py [NAME ...]
 
-AOTInductor compiles a denoiser's prediction, a decoder's step, the value of a reward model, and the costs of attacks,
-of all but the first their slopes, which are traced through autograd, and the slopes of whole attacks: for the sizes of
-the shipped weights NAME (all), this version of PyTorch, and any x86-64 machine with AVX2. Needs g++ and some minutes.
-Run it after a change to these networks (``tests/diffusion`` says when), to the sizes of the shipped weights, and of
-PyTorch. The files hold what running needs: no weights, sources or symbols, and no folders of the machine that made
-them, and say what sizes the code is for. Made again they hold the same instructions, but other names of files and
-numbers of the build; the denoisers that ship are of an earlier form of this script, with other
-instructions and the same numbers.
+AOTInductor compiles, for the shipped weights NAME (default: all):
+
+1. the prediction of a denoiser,
+2. the step of a decoder, the value of a reward model and the costs of attacks, each with its gradient ("slope"), which
+   is traced through autograd,
+3. the gradients of whole attacks.
+
+The code fits the sizes of these weights, this version of PyTorch, and any x86-64 machine with AVX2. The script needs
+g++ and some minutes. Run it after a change of these networks (``tests/diffusion`` says when), of the sizes of the
+shipped weights, or of PyTorch. The files state the sizes that the code is for. They contain no weights, sources,
+symbols or folder names of the machine. A second build has the same instructions, but other file names and build
+numbers. The shipped denoisers come from an earlier version of this script, with other instructions and the same
+results.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # PyTorch reads it when it is imported
+os.environ["TORCHINDUCTOR_CPP_MARCH"] = "x86-64-v3"  # read when PyTorch is imported
 
 import argparse
 import json
@@ -60,30 +65,30 @@ _INDUCTOR = {
     "cpp.threads": 1,
     "cpp.simdlen": 256,
     "always_keep_tensor_constants": True,
-    "joint_graph_constant_folding": False,  # it writes a bias of one number into the code
+    "joint_graph_constant_folding": False,  # it would write a bias of a single number into the code
 }
 _Network = TypeVar("_Network", bound=nn.Module)
 WEIGHTS = ("closed-loop", "traffic", "traj2traj")
 
-#: Sizes that may be any: scenes, rows, agents, segments of the road's edge, instants; in the example all differ from
-#: each other and from all widths, or the compiler takes them for the same, and what is the most.
+#: Dynamic sizes (scenes, rows, agents, segments of the road's edge, instants): size in the example, and largest size.
+#: In the example, all differ from each other and from all widths; otherwise the compiler would treat them as equal.
 SIZES = {"B": (17, 4096), "R": (11, 1024), "A": (19, 1024), "S": (23, 4096), "T": (29, 1024)}
 _NAMES = {size: name for name, (size, _) in SIZES.items()}
 
-#: What stays the same through a roll-out: shapes, and what is no real number.
+#: Arguments that are constant during a rollout: their shapes, and the types of those that are not real numbers.
 _AROUND = (("R",), ("B", "R", 4), ("B", "R", 2), ("B", "R"), ("B", "R"), ("B", "A", 2), ("B", "A"))
 _AROUND_KINDS = {0: torch.long, 3: torch.bool, 4: torch.bool, 6: torch.bool}
 
 
 @dataclass(frozen=True)
 class Example:
-    """Arguments of a function with tensors for arguments.
+    """Example arguments of a function (free, held) of tensors.
 
     Attributes:
-        free: shapes of those with gradients, by numbers and names of ``SIZES``.
-        held: shapes of the others.
-        least_agents: for which there is to be code.
-        kinds: numbers of arguments in *held* that hold something else than real numbers.
+        free: shapes of the arguments with gradients; each size is a number or a name of ``SIZES``.
+        held: shapes of the arguments without gradients.
+        least_agents: least number of agents that the code must support.
+        kinds: index in *held* → type, for arguments that are not real numbers.
     """
 
     free: Sequence[tuple[int | str, ...]]
@@ -92,19 +97,19 @@ class Example:
     kinds: dict[int, torch.dtype] = field(default_factory=dict)
 
     def tensors(self) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-        """Return the arguments."""
+        """Return the tensors (free, held)."""
         free = tuple(_tensor(shape, torch.float32) for shape in self.free)
         held = (_tensor(shape, self.kinds.get(k, torch.float32)) for k, shape in enumerate(self.held))
         return free, tuple(held)
 
     def fitting(self, given: Any) -> Fitting:
-        """Return what code for the tensors in *given* is for."""
+        """Return the types and sizes that code compiled for the tensors in *given* supports."""
         leaves = tree_leaves(given)
         arguments = [(str(value.dtype), [_NAMES.get(size, size) for size in value.shape]) for value in leaves]
         return Fitting(arguments, {name: (self._least(name), most) for name, (_, most) in SIZES.items()})
 
     def any_size(self, given: Any) -> Any:
-        """Return which dimensions of the tensors in *given* may be of any size."""
+        """Return the dynamic dimensions of the tensors in *given*, in the same nesting."""
         if not isinstance(given, Tensor):
             return tuple(self.any_size(part) for part in given)
         named = {k: _NAMES[size] for k, size in enumerate(given.shape) if size in _NAMES}
@@ -166,25 +171,25 @@ def attack_example(options: ModelOptions, steps: int) -> Example:
 
 
 def _placed(steps: int | str) -> list[tuple[int | str, ...]]:
-    """Return the shapes of an ``AttackStates``."""
+    """Return the shapes of the tensors of an ``AttackStates``."""
     everybody = [("A", 2), ("A",), ("A", steps, 2), ("A", steps), ("A", steps)]
     edges = [(1, "R", "S"), (1, "R", "S", 7), (1, "R", 3, "S"), (1, "R", 3, "S")]
     return [*everybody, ("R", 2), ("R", 4), ("R",), *edges]
 
 
 class Slope(nn.Module):
-    """Autograd's product of a vector and the Jacobian of *network*, traced.
+    """The traced vector-Jacobian product of *network*.
 
     Args:
         network: a function (free, held) → results of tensors.
-        free: example of the arguments that there are gradients to.
-        held: of the others.
-        by: of the gradients of the results.
+        free: example of the arguments with gradients.
+        held: example of the other arguments.
+        by: example of the gradients with respect to the results.
     """
 
     def __init__(self, network: nn.Module, free: Any, held: Any, by: Any) -> None:
         super().__init__()
-        for name, part in network.named_children():  # weights keep their names
+        for name, part in network.named_children():  # so that weights have the same names as in the network
             self.add_module(name, part)
         self._weights = [name for name, _ in network.named_parameters()]
 
@@ -201,7 +206,7 @@ class Slope(nn.Module):
         )
 
     def forward(self, free: Any, held: Any, by: Any) -> list[Tensor]:
-        """Return the gradients of *free* for gradients *by* of the results."""
+        """Return the gradients with respect to *free*, given those with respect to the results, *by*."""
         weights = {name: self.get_parameter(name) for name in self._weights}
         gradients: list[Tensor] = self.traced(weights, free, held, by)
         return gradients
@@ -209,7 +214,7 @@ class Slope(nn.Module):
 
 @contextmanager
 def anonymous_compiler() -> Iterator[None]:
-    """Let g++ leave out symbols and write no folder of this machine into the code (PyTorch takes no flags)."""
+    """Let g++ omit symbols and folder names of this machine; a wrapper script, since PyTorch accepts no flags."""
     folders = {
         Path(torch.__file__).parent: "torch",
         cache_dir(): "step",
@@ -224,19 +229,20 @@ def anonymous_compiler() -> Iterator[None]:
 
 
 def slim(package: Path, fitting: Fitting) -> None:
-    """Write *package* again: packed, without sources, with the date of nobody's day, and with what it is for."""
+    """Rewrite *package* compressed, without sources, with a fixed date, and with *fitting* in its metadata."""
     with zipfile.ZipFile(package) as archive:
         sources = (".cpp", ".kernel_metadata.json")
-        kept = {name: archive.read(name) for name in archive.namelist() if not name.endswith(sources)}
-    (told,) = (name for name in kept if name.endswith("metadata.json"))
-    kept[told] = json.dumps({**json.loads(kept[told]), FITTING: json.dumps(asdict(fitting))}).encode()
+        contents = {name: archive.read(name) for name in archive.namelist() if not name.endswith(sources)}
+    (metadata,) = (name for name in contents if name.endswith("metadata.json"))
+    fields = {**json.loads(contents[metadata]), FITTING: json.dumps(asdict(fitting))}
+    contents[metadata] = json.dumps(fields).encode()
     with zipfile.ZipFile(package, "w") as archive:
-        for name, content in kept.items():
+        for name, content in contents.items():
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED, compresslevel=9)
 
 
 def build(network: nn.Module, example: Example, package: Path, slope: bool = True) -> None:
-    """Compile *network*, a function (free, held) → results of tensors, and its slope."""
+    """Compile *network*, a function (free, held) → results of tensors, and with *slope* its gradient, too."""
     numbered(network)
     _compile(network, example, example.tensors(), package)
     if slope:
@@ -244,7 +250,7 @@ def build(network: nn.Module, example: Example, package: Path, slope: bool = Tru
 
 
 def build_slope(network: nn.Module, example: Example, package: Path) -> None:
-    """Compile the slope of *network*."""
+    """Compile the gradient of *network*."""
     numbered(network)
     with torch.no_grad():
         given = example.tensors()
@@ -253,7 +259,10 @@ def build_slope(network: nn.Module, example: Example, package: Path) -> None:
 
 
 def numbered(network: _Network) -> _Network:
-    """Return *network* with weights that all differ: they are given when it is loaded; equal ones would become one."""
+    """Return *network* in evaluation mode with a different value in each weight.
+
+    The real weights are set when the code is loaded. Equal ones would be merged by the compiler.
+    """
     network.eval().requires_grad_(False)
     for number, weight in enumerate(network.parameters()):
         weight.fill_(number)
@@ -271,14 +280,14 @@ def _compile(network: nn.Module, example: Example, given: Any, package: Path) ->
 
 
 def build_all(bundle: Bundle) -> None:
-    """Compile what the networks of *bundle* have."""
+    """Compile all functions of the networks of *bundle*."""
     options, denoiser, decoder = bundle.options.model, bundle.denoiser, bundle.traffic.decoder
     prediction = PredictionOnTensors(Denoiser(options, denoiser.shape))
     example = prediction_example(options, denoiser.shape)
     build(prediction, example, denoiser_package(options, denoiser.shape), slope=False)
     build(StepOnTensors(decoder), step_example(options), step_package(options))
     if not isinstance(bundle.codec, LatentCodec):
-        return  # nothing guides it
+        return  # these networks are not guided
     build(RewardOnTensors(bundle.reward), reward_example(options), reward_package(options))
     if options.decoder == "open":
         for steps in (NEAR_STEPS, HORIZON_STEPS):
@@ -290,7 +299,7 @@ def build_all(bundle: Bundle) -> None:
 
 
 def main() -> None:
-    """Compile and say what is where."""
+    """Compile, and print the path of each file."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,11 +1,11 @@
-"""How often do verdicts, which let the others move as recorded, agree with a careful driver among others who react?
+"""Compare verdicts, in which the others move as recorded, with a careful driver among others that react.
 
 python tools/check_closed_loop.py FOLDER ... [--collisions 100] [--driver careful|same] [--differences]
 
-Runs the episodes of collisions of finished runs or sweeps again: the target's own planner drives up to the takeover
-of the verdict's reference drive, the target "careful" (or that same drive) from there on, and SUMO and the background
-react. Prints who says what, and Cohen's kappa with its 95 % interval. Needs Python planners as targets, and the
-version that ran them.
+The tool repeats episodes with collisions of finished runs or sweeps. The target's own planner drives up to the takeover
+of the verdict's reference drive. From there on, the target "careful" (or the same reference drive) drives, while SUMO
+and the background react. Printed are a table of both answers, and Cohen's kappa with its 95 % interval. The targets
+must be Python planners, and the version must be the one that ran the episodes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from advdiff_sumo.sweep.sweep_store import Store
 
 @dataclass(frozen=True)
 class Candidate:
-    """A stored episode that ended in a collision with another."""
+    """A stored episode in which the target collided with another road user."""
 
     folder: Path
     store: Store
@@ -42,7 +42,7 @@ class Candidate:
 
 
 def main() -> int:
-    """Run collisions again and print how far both agree; return the exit code."""
+    """Repeat collisions and print how often both answers agree; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -57,24 +57,24 @@ def main() -> int:
     one_thread_for_good()
     try:
         drawn = draw([x for folder in given.folders for x in collided(folder)], given.collisions, given.seed)
-        results, lacking = run_again(drawn, given.driver)
+        results, omitted = run_again(drawn, given.driver)
     except InputError as error:
         print(f"check_closed_loop: {error}", file=sys.stderr)
         return 2
-    for reason in lacking:
+    for reason in omitted:
         print(f"left out: {reason}")
     if not results:
         print("check_closed_loop: no collision could be run again", file=sys.stderr)
         return 2
-    tell(results, given.differences)
+    print_agreement(results, given.differences)
     return 0
 
 
 def collided(folder: Path) -> Iterator[Candidate]:
-    """Yield the stored episodes of *folder* in which the target collided with another.
+    """Yield the stored episodes of *folder* in which the target collided with another road user.
 
     Raises:
-        InputError: it holds no run and no sweep, or one of another version.
+        InputError: the folder holds no run and no sweep, or one of another version.
     """
     if (folder / SWEEP_SETTINGS).exists():
         store = Store.open(folder)
@@ -91,40 +91,40 @@ def collided(folder: Path) -> Iterator[Candidate]:
 
 
 def draw(candidates: list[Candidate], count: int, seed: int) -> list[Candidate]:
-    """Return *count* of the candidates at random, in their order; all where there are fewer."""
+    """Return *count* random candidates in their order; all if there are fewer."""
     chosen = np.random.default_rng(seed).permutation(len(candidates))[:count]
-    return [candidates[at] for at in sorted(chosen.tolist())]
+    return [candidates[index] for index in sorted(chosen.tolist())]
 
 
 def run_again(drawn: list[Candidate], driver: Driver) -> tuple[list[tuple[Candidate, ClosedLoop]], list[str]]:
-    """Return what came of each, and of those left out the reasons."""
-    results, lacking = [], []
+    """Repeat the *drawn* collisions; return their results, and the reasons for those left out."""
+    results, omitted = [], []
     with progress_bar(terminal()) as bar:
         task = bar.add_task("collisions run again", total=len(drawn))
-        for one in drawn:
-            name = f"{one.folder}, episode {one.job.key}"
+        for candidate in drawn:
+            name = f"{candidate.folder}, episode {candidate.job.key}"
             try:
-                result = again(one, driver)
+                result = again(candidate, driver)
             except AdvdiffError as error:
-                lacking.append(f"{name}: {error}")
+                omitted.append(f"{name}: {error}")
             else:
                 if result is None:
-                    lacking.append(f"{name}: no reference driver could be put in the target's place")
+                    omitted.append(f"{name}: no reference driver could be put in the target's place")
                 else:
-                    results.append((one, result))
+                    results.append((candidate, result))
             bar.advance(task)
-    return results, lacking
+    return results, omitted
 
 
-def again(one: Candidate, driver: Driver) -> ClosedLoop | None:
-    """Run one collision again."""
-    _, episode = episode_again(one.store, one.plan, one.job)
-    record = one.stored.record()
+def again(candidate: Candidate, driver: Driver) -> ClosedLoop | None:
+    """Repeat one collision; return None if there is no record or no reference drive."""
+    _, episode = episode_again(candidate.store, candidate.plan, candidate.job)
+    record = candidate.stored.record()
     return None if record is None else close_loop(episode, record, driver)
 
 
-def tell(results: list[tuple[Candidate, ClosedLoop]], differences: bool) -> None:
-    """Print the table of answers and kappa."""
+def print_agreement(results: list[tuple[Candidate, ClosedLoop]], differences: bool) -> None:
+    """Print the table of answers and kappa; with *differences*, also the episodes whose answers differ."""
     recorded = np.array([x.preventable for _, x in results])
     reacting = np.array([x.avoided for _, x in results])
     print(f"{len(results)} collisions      avoided while others react   not")
@@ -138,10 +138,10 @@ def tell(results: list[tuple[Candidate, ClosedLoop]], differences: bool) -> None
     except ValueError as error:
         print(f"kappa is undefined: {error}")
     if differences:
-        for one, result in results:
+        for candidate, result in results:
             if result.preventable != result.avoided:
                 outcome = "avoided" if result.avoided else "not avoided"
-                print(f"    {one.folder}, episode {one.job.key}: {outcome} where others react")
+                print(f"    {candidate.folder}, episode {candidate.job.key}: {outcome} where others react")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Check that every relative link and picture in the Markdown files leads somewhere: python tools/check_links.py."""
+"""Check that the target of every relative link and picture in Markdown files exists: python tools/check_links.py."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors of a page's headings, as they are made on code-hosting sites."""
+    """Return the anchors of a page's headings, as code-hosting sites make them."""
     plain = (
         re.sub(r"[`*_]", "", heading).strip().lower() for heading in _HEADING.findall(_FENCE.sub("", text))
     )
@@ -21,22 +21,22 @@ def anchors(text: str) -> set[str]:
 
 
 def broken(page: Path) -> list[str]:
-    """Return a line for each link of *page* that leads nowhere."""
+    """Return a line for each link of *page* whose target does not exist."""
     problems = []
     for target in _LINK.findall(_FENCE.sub("", page.read_text(encoding="utf-8"))):
         if re.match(r"[a-z]+:", target):
             continue
         name, _, anchor = target.partition("#")
-        goal = (page.parent / name) if name else page
-        if not goal.exists():
+        path = (page.parent / name) if name else page
+        if not path.exists():
             problems.append(f"{page}: no such file: {target}")
-        elif anchor and goal.suffix == ".md" and anchor not in anchors(goal.read_text(encoding="utf-8")):
+        elif anchor and path.suffix == ".md" and anchor not in anchors(path.read_text(encoding="utf-8")):
             problems.append(f"{page}: no such heading: {target}")
     return problems
 
 
 def main() -> int:
-    """Check all pages that git tracks; 1 when a link is broken."""
+    """Check all pages that git tracks; return 1 if a link is broken."""
     listed = subprocess.run(["git", "ls-files", "*.md"], capture_output=True, text=True, check=True)
     lines = [line for name in listed.stdout.split() for line in broken(Path(name))]
     print("\n".join(lines) or "all links lead somewhere")

@@ -2,11 +2,11 @@
 
 python tools/check_monitor.py FOLDER --python ENV/bin/python [--net motorway] [--scenes 50] [--keep DIR]
 
-ENV is an environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and antlr4-python3-runtime 4.9.3, which
-pin what this project cannot live with. Episodes of FOLDER are exported as CommonRoad scenarios, and at every instant
-the monitor's predicates of R_G1 (safe distance of the target, with our response and brakes; entries into the lane are
-not excused) and R_G3 (speed limit of the lane, everybody) are compared with ours. R_G2, unnecessary braking, is no
-breach here. --keep keeps what the monitor said, and goes on from there.
+ENV is an environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and antlr4-python3-runtime 4.9.3, whose
+version constraints are incompatible with this project. Episodes of FOLDER are exported as CommonRoad scenarios. At
+every instant, two predicates of the monitor are compared with ours: R_G1 (safe distance of the target, with our
+response time and deceleration; cut-ins are not excused) and R_G3 (speed limit of the lane, all vehicles). R_G2,
+unnecessary braking, is not a breach here. With --keep, the monitor's answers are stored and used by later calls.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ OTHER = "something else"
 
 
 def main() -> int:
-    """Print a table a rule; return the exit code."""
+    """Print the agreement on each rule; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -87,7 +87,7 @@ def main() -> int:
 
 
 def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, bool, bool]], list[str]]:
-    """Return how often (ours, theirs) say a rule is broken, and what was left out."""
+    """Return counts by (rule or reason, broken by ours, broken by the monitor's), and why scenes were left out."""
     scenes = list(islice(moving(given.folder, given.net), given.scenes))
     exporter, stem = make_exporter("commonroad"), stem_of(given.folder)
     paths = []
@@ -102,12 +102,12 @@ def compared(given: argparse.Namespace, keep: Path) -> tuple[Counter[tuple[str, 
         if "failed" in answer:
             failed.append(f"{path.name}: {answer['failed']}")
         else:
-            count(counts, record, road, answer, obstacles(path))
+            add_counts(counts, record, road, answer, obstacles(path))
     return counts, failed
 
 
 def moving(folder: Path, net: str) -> Iterator[tuple[str, EpisodeRecord, RoadMap]]:
-    """Yield key, record and map of the episodes of *folder* on nets whose file's name begins with *net*."""
+    """Yield key, record and map of the episodes of *folder* on nets whose file name begins with *net*."""
     for key, stored in open_judging(folder).episodes():
         record = stored.record() if stored.net.name.startswith(net) else None
         if record is not None and record.tracks.steps > 1:
@@ -115,45 +115,53 @@ def moving(folder: Path, net: str) -> Iterator[tuple[str, EpisodeRecord, RoadMap
 
 
 def obstacles(path: Path) -> dict[str, str]:
-    """Return number → name of the obstacles, the target's as "target"."""
+    """Return number → name of the obstacles in the scenario *path*; the target's name is "target"."""
     pattern = r'<dynamicObstacle id="(\d+)">\s*<!--\s*(target|agent): (.*?)\s*-->'
     matches = re.findall(pattern, path.read_text(encoding="utf-8"))
     return {number: "target" if role == "target" else unquote(name) for number, role, name in matches}
 
 
 def monitored(python: str, paths: list[Path], keep: Path) -> dict[str, Answers]:
-    """Return the monitor's answers by file; those in *keep* are not asked for again."""
+    """Return the monitor's answers by file; those stored in *keep* are used, new ones are added there."""
     store = keep / "answers.jsonl"
     known = [json.loads(line) for line in store.read_text().splitlines()] if store.exists() else []
     answers = {answer["path"]: answer for answer in known}
-    asked = [path for path in paths if str(path) not in answers]
-    pairs = [text for path in asked for text in (str(path), target_number(path))]
-    with store.open("a") as lines:
-        command = [python, str(RULES), *pairs]
-        started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        for line in started.stdout or ():
+    unanswered = [path for path in paths if str(path) not in answers]
+    arguments = [text for path in unanswered for text in (str(path), target_number(path))]
+    with store.open("a") as file:
+        command = [python, str(RULES), *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        for line in process.stdout or ():
             if line.startswith("{"):
                 answer = json.loads(line)
                 answers[answer["path"]] = answer
-                lines.write(line)
-                lines.flush()
-        started.wait()
+                file.write(line)
+                file.flush()
+        process.wait()
     return answers
 
 
 def target_number(path: Path) -> str:
-    """Return the number of the obstacle that was tested."""
+    """Return the number of the target in the scenario *path*."""
     return next(number for number, name in obstacles(path).items() if name == "target")
 
 
-def count(
+def add_counts(
     counts: Counter[tuple[str, bool, bool]],
     record: EpisodeRecord,
     road: RoadMap,
     answers: Answers,
     names: dict[str, str],
 ) -> None:
-    """Add the instants of one scene to *counts*."""
+    """Add the instants of one scene to *counts*.
+
+    Args:
+        counts: by (rule or reason, broken by ours, broken by the monitor's).
+        record: of the scene.
+        road: its map.
+        answers: those of the monitor.
+        names: number → name of the obstacles.
+    """
     tracks, target = record.tracks, record.target
     view = TrafficView.of_record(record, road)
     ahead = following_gaps(tracks, target, road, record.route)
@@ -168,30 +176,31 @@ def count(
             counts[why_apart(spare_m[rows, step], ahead.gap_m[rows, step]), bool(ours), bool(theirs)] += 1
     for number, steps in answers["too_fast"].items():
         row = target if names[number] == "target" else tracks.index[names[number]]
-        limits, over = road.legal_limits_mps, set(steps)
+        limits, too_fast_steps = road.legal_limits_mps, set(steps)
         for step in np.flatnonzero(tracks.valid[row]).tolist():
             lane = view.place(row, step, step + 1).lane[0]
-            fast = lane is not None and tracks.speed_mps[row, step] > limits[lane]
-            counts["speed limit", bool(fast), step in over] += 1
-            if step in over and not fast:
+            is_fast = lane is not None and tracks.speed_mps[row, step] > limits[lane]
+            counts["speed limit", bool(is_fast), step in too_fast_steps] += 1
+            if step in too_fast_steps and not is_fast:
                 counts["on a junction", on_junction(tracks, row, step, road), True] += 1
 
 
 def on_junction(tracks: Tracks, row: int, step: int, road: RoadMap) -> bool:
-    """Return whether a bumper of agent *row* is on a lane of a junction."""
+    """Return whether the front or rear bumper of agent *row* is on a lane of a junction."""
     yaw, length_m = tracks.yaw_rad[row, step], tracks.size_m[row, 0]
     front = bumper_from_centre(tracks.xy_m[row, step], yaw, length_m)
     rear = bumper_from_centre(tracks.xy_m[row, step], yaw, -length_m)
-    poses = [road.locate(place, yaw) for place in (front, rear)]
+    poses = [road.locate(bumper, yaw) for bumper in (front, rear)]
     return any(pose is not None and road.lanes[pose.lane_id].is_internal for pose in poses)
 
 
 def why_apart(spare_m: FloatArray, gap_m: FloatArray) -> str:
-    """Return why the two disagree on the safe distance to those that either objects to.
+    """Return why we and the monitor disagree on the safe distance.
 
     Args:
-        spare_m: gaps less safe gaps; NaN where they are not ahead in the lane for us.
-        gap_m: gaps, NaN as before.
+        spare_m: gap minus safe gap to each vehicle that either of us reports; NaN if we do not consider it ahead in the
+            lane.
+        gap_m: the gaps; NaN as above.
     """
     if np.isnan(spare_m).all():
         return ACROSS

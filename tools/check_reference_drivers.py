@@ -1,8 +1,8 @@
-"""Compare the reference drivers of UN R157 with a grid of outcomes; exit with 1 below 99.5 % for any model.
+"""Compare the reference drivers of UN R157 with a grid of outcomes; exit code 1 if a model agrees below 99.5 %.
 
 python tools/check_reference_drivers.py FILE.csv[.gz] [--differences]
 
-Which of the three grids it is shows in the columns: cut-in (ego_kmh, other_kmh, gap_m, lateral_mps and a column a
+The columns determine which of three grids it is: cut-in (ego_kmh, other_kmh, gap_m, lateral_mps and one column for each
 model), cut-out (model, speed_kmh, front_gap_m, lateral_mps, crash) or car following (model, decel_g, speed_kmh, crash).
 """
 
@@ -66,7 +66,7 @@ def read_columns(path: Path) -> Columns:
     """Return the columns of a CSV file, gzipped or not.
 
     Raises:
-        InputError: the file is missing, no CSV, or empty.
+        InputError: the file is missing, is not CSV, or is empty.
     """
     try:
         raw = path.read_bytes()
@@ -79,27 +79,27 @@ def read_columns(path: Path) -> Columns:
     short = next((number for number, row in enumerate(rows, start=1) if len(row) != len(rows[0])), None)
     if short is not None:
         raise InputError(f"{path}: line {short} has another number of columns than the first; mend it")
-    return {name: [row[at] for row in rows[1:]] for at, name in enumerate(rows[0])}
+    return {name: [row[column] for row in rows[1:]] for column, name in enumerate(rows[0])}
 
 
 def compare(
     path: Path, columns: Columns
 ) -> tuple[str, dict[str, tuple[dict[str, FloatArray], BoolArray, BoolArray]]]:
-    """Return the kind of grid, and for each model its keys, our outcomes and theirs.
+    """Return the kind of grid, and for each model its keys, our outcomes and those of the grid.
 
     Raises:
-        InputError: the columns are those of no known grid, or hold something that is no number.
+        InputError: the columns are those of no known grid, or a cell is not a number.
     """
-    have = set(columns)
-    if have >= set(_CUT_IN) and have & set(MODELS):
+    present = set(columns)
+    if present >= set(_CUT_IN) and present & set(MODELS):
         keys = _numbers(path, columns, _CUT_IN)
-        models = [name for name in MODELS if name in have]
+        models = [name for name in MODELS if name in present]
         return "cut-in", {
             name: (keys, _cut_in(MODELS[name], keys), _numbers(path, columns, (name,))[name] > 0.5)
             for name in models
         }
     for kind, names, outcome in (("cut-out", _CUT_OUT, _cut_out), ("car following", _FOLLOWING, _following)):
-        if have >= {"model", "crash", *names}:
+        if present >= {"model", "crash", *names}:
             return kind, _by_model(path, columns, names, outcome)
     raise InputError(f"{path}: its columns ({', '.join(columns)}) are those of no grid; see --help")
 
@@ -127,7 +127,7 @@ def _numbers(path: Path, columns: Columns, names: tuple[str, ...]) -> dict[str, 
 
 
 def _cut_in(model: DriverModel, keys: dict[str, FloatArray]) -> BoolArray:
-    # a grid counts in steps of 0.1 m/s; how many steps a ramp takes hangs on the last digit of such a product
+    # The grid has steps of 0.1 m/s. The number of time steps of a ramp depends on the last digit of such a product.
     lateral = np.round(keys["lateral_mps"] * 10.0) * 0.1
     return cut_in(model, keys["ego_kmh"] * _KMH, keys["other_kmh"] * _KMH, keys["gap_m"], lateral)
 

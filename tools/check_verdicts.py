@@ -1,9 +1,10 @@
-"""Hold verdicts against the clairvoyant search; exit with 1 where a reference driver avoids what no drive does.
+"""Compare verdicts with the clairvoyant search; exit code 1 if they contradict each other.
 
 advdiff-sumo verdict FOLDER --search
 python tools/check_verdicts.py FOLDER ... [--differences]
 
-Whatever a reference driver avoids can be avoided, so the search, which knows the others' future, must find a drive.
+If a reference driver avoids a collision, the search, which knows the future of the others, must find a drive that
+avoids it, too.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Row = Mapping[str, Any]
 
 
 def main() -> int:
-    """Print how often drivers and search avoid the collisions; return the exit code."""
+    """Print how many collisions the drivers and the search avoid; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -64,20 +65,20 @@ def main() -> int:
 
 
 def searched_collisions(folder: Path) -> list[Row]:
-    """Return the rows of the target's collisions in *folder* of which the search was asked.
+    """Return the rows of the target's collisions in *folder* for which the search was run.
 
     Raises:
-        FileError: the table is missing or damaged, or an earlier version wrote it.
+        FileError: the table is missing or damaged, or was written by an earlier version.
     """
     tables = RunTables(folder, remedy=REMEDY)
-    if lacking := set(COLUMNS) - tables.columns("collisions"):
-        raise FileError(folder, f"lacks the columns {', '.join(sorted(lacking))}", REMEDY)
+    if missing := set(COLUMNS) - tables.columns("collisions"):
+        raise FileError(folder, f"lacks the columns {', '.join(sorted(missing))}", REMEDY)
     rows = tables.rows("collisions", COLUMNS).to_pylist()
     return [row for row in rows if row["with_target"] and row["solvable"] is not None]
 
 
 def contradicts(row: Row) -> bool:
-    """Return whether a reference driver avoids the collision and the search, or the verdict, says none can."""
+    """Return whether a reference driver avoids the collision, but the search finds no drive or it is "unavoidable"."""
     return bool(row["preventable_by"]) and (not row["solvable"] or row["unavoidable"] is not False)
 
 

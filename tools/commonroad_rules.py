@@ -1,7 +1,7 @@
-"""Print what CommonRoad's rule monitor says of one road user at every instant, as JSON; started by check_monitor.py.
+"""Print the answers of CommonRoad's rule monitor at every instant as JSON; started by check_monitor.py.
 
-Runs in an environment of its own with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and
-antlr4-python3-runtime 4.9.3, and imports nothing of this project.
+It runs in a separate environment with commonroad-stl-monitor 2025.1.1, commonroad-io 2024.3 and
+antlr4-python3-runtime 4.9.3, and imports nothing from this project.
 """
 
 import contextlib
@@ -22,13 +22,13 @@ RESPONSE_S, BRAKE_MPS2 = 0.75, -6.0
 _CoordinateSystem = network.CurvilinearCoordinateSystem
 
 
-def plain(path, params, preprocess_path=True):  # noqa: ARG001 - the original has it
-    """Return the lane's coordinates without smoothing its line, which takes minutes a scene."""
+def unsmoothed(path, params, preprocess_path=True):  # noqa: ARG001 - same parameters as the original
+    """Return the curvilinear frame of a lane without smoothing its line, which would take minutes for each scene."""
     return _CoordinateSystem(path, params, preprocess_path=False)
 
 
 def world_of(path):
-    """Return the scenario as the monitor sees it, its drivers with the response and brakes of our safe gap."""
+    """Return the monitor's world of the scenario *path*, with the response time and deceleration of our safe gap."""
     scenario, _ = CommonRoadFileReader(path).open()
     config = WorldConfig()
     config.road_network_param.polyline_resampling_step = 2.0
@@ -39,7 +39,7 @@ def world_of(path):
 
 
 def holds(predicate, world, step, ids):
-    """Return whether *predicate* is true; None where a place cannot be put into the lane's frame."""
+    """Return whether *predicate* is true; None if a position has no coordinates in the lane's frame."""
     try:
         return bool(predicate.evaluate_robustness(world, step, ids) > 0.0)
     except (ValueError, AttributeError, KeyError):
@@ -47,32 +47,32 @@ def holds(predicate, world, step, ids):
 
 
 def unsafe(world, step, own):
-    """Return to whom ahead in the lane the safe distance is not kept (R_G1 without its cut-ins)."""
-    ahead, same, safe = PredInFrontOf(), PredInSameLane(), PredSafeDistPrec()
+    """Return the vehicles ahead in the lane to which the distance is unsafe (R_G1 without its cut-in exception)."""
+    in_front, same_lane, safe_distance = PredInFrontOf(), PredInSameLane(), PredSafeDistPrec()
     return [
         other.id
         for other in world.vehicles
         if other.id != own
         and other.is_valid(step)
-        and holds(ahead, world, step, (own, other.id))
-        and holds(same, world, step, (own, other.id))
-        and holds(safe, world, step, (own, other.id)) is False
+        and holds(in_front, world, step, (own, other.id))
+        and holds(same_lane, world, step, (own, other.id))
+        and holds(safe_distance, world, step, (own, other.id)) is False
     ]
 
 
 def judged(path, own):
-    """Return the instants of the target, those at which it is too near, and those at which anybody is too fast."""
+    """Return the instants of the target, its unsafe distances by instant, and when each vehicle is too fast."""
     world = world_of(path)
     vehicle = world.vehicle_by_id(own)
     steps = range(vehicle.start_time, vehicle.end_time + 1)
     limit = PredLaneSpeedLimit()
     too_fast = {
-        one.id: [
+        other.id: [
             step
-            for step in range(one.start_time, one.end_time + 1)
-            if holds(limit, world, step, (one.id,)) is False
+            for step in range(other.start_time, other.end_time + 1)
+            if holds(limit, world, step, (other.id,)) is False
         ]
-        for one in world.vehicles
+        for other in world.vehicles
     }
     return {
         "path": path,
@@ -83,13 +83,13 @@ def judged(path, own):
 
 
 def main():
-    """Print one JSON object a line for each pair of file and target's number; {} where the monitor fails."""
-    network.CurvilinearCoordinateSystem = plain
+    """Print a line with a JSON object for each pair of file and target's number; "failed" has the monitor's error."""
+    network.CurvilinearCoordinateSystem = unsmoothed
     for path, own in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
         with contextlib.redirect_stdout(io.StringIO()):
             try:
                 answer = judged(path, int(own))
-            except Exception as error:  # noqa: BLE001 - whatever it raises is its answer
+            except Exception as error:  # noqa: BLE001 - any error of the monitor is printed as its answer
                 answer = {"path": path, "failed": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), flush=True)
 

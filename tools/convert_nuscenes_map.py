@@ -1,4 +1,4 @@
-"""nuScenes HD map → SUMO net: ``python tools/convert_nuscenes_map.py MAP.json -o networks/boston.net.xml``.
+"""Convert a nuScenes map into a SUMO net: ``python tools/convert_nuscenes_map.py MAP.json -o networks/b.net.xml``.
 
 The same as ``advdiff-sumo convert``, for a checkout that is not installed.
 """
@@ -17,7 +17,7 @@ from advdiff_sumo.core.errors import InputError
 
 
 def main() -> int:
-    """Run the converter; a fault of the input is one sentence and exit code 2."""
+    """Run the converter and return the exit code; an error in the input is one sentence and exit code 2."""
     try:
         app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         app.command()(convert)

@@ -1,4 +1,4 @@
-"""Extension of griffe for the site: ``:class:`~package.module.Name``` in docstrings becomes plain code, ``Name``."""
+"""Extension of griffe for the site: replaces roles such as ``:class:`~package.Name``` in docstrings by ``Name``."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _ROLE = re.compile(r":(?:class|func|meth|attr|data|mod|exc):`(~?)([\w.]+)`")
 
 
 def without_roles(text: str) -> str:
-    """Return *text* with each role as code; behind ``~`` stands the last part of the name alone."""
+    """Return *text* with each role replaced by code; after ``~``, only the last part of the name is used."""
     return _ROLE.sub(lambda match: f"`{match[2].rpartition('.')[2] if match[1] else match[2]}`", text)
 
 
 class DocstringRoles(griffe.Extension):
-    """Applied to every object that has a docstring."""
+    """Replaces the roles in every docstring."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         """Rewrite the docstring of *obj*."""

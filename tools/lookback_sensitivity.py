@@ -1,8 +1,9 @@
-"""How many collisions the reference drivers avoid, by how long before the contact they take over at the earliest.
+"""Count the collisions that the reference drivers avoid, by the earliest takeover before the contact (look-back).
 
 python tools/lookback_sensitivity.py FOLDER ... [--lookback 2 3 5]
 
-Judges the collisions of the target with others in finished runs or sweeps, whose rows are left as they are.
+The tool judges the target's collisions with other road users in finished runs or sweeps, and does not change their
+rows.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from advdiff_sumo.metrics.verdict import avoids
 
 
 def main() -> int:
-    """Print a row a look-back; return the exit code."""
+    """Print a row for each look-back; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -37,9 +38,9 @@ def main() -> int:
     total = 0
     try:
         for folder in given.folders:
-            for record, road, struck in struck_targets(folder):
+            for record, road, collision in target_collisions(folder):
                 total += 1
-                counts.update(avoiding(record, road, struck, given.lookback))
+                counts.update(avoiding_models(record, road, collision, given.lookback))
     except InputError as error:
         print(f"lookback_sensitivity: {error}", file=sys.stderr)
         return 2
@@ -50,26 +51,26 @@ def main() -> int:
     return 0
 
 
-def struck_targets(folder: Path) -> Iterator[tuple[EpisodeRecord, RoadMap, Collision]]:
-    """Yield the records of *folder* in which the target collides with another after the first instant."""
+def target_collisions(folder: Path) -> Iterator[tuple[EpisodeRecord, RoadMap, Collision]]:
+    """Yield the records of *folder* in which the target collides with another road user after the first instant."""
     for _, stored in open_judging(folder).episodes():
         if not stored.row["collision_partner"]:
             continue
         record = stored.record()
-        struck = None if record is None else target_collision(record, collisions(record))
-        if record is not None and struck is not None and struck.step > 0:
-            yield record, stored.road(), struck
+        collision = None if record is None else target_collision(record, collisions(record))
+        if record is not None and collision is not None and collision.step > 0:
+            yield record, stored.road(), collision
 
 
-def avoiding(
-    record: EpisodeRecord, road: RoadMap, struck: Collision, lookbacks_s: Sequence[float]
+def avoiding_models(
+    record: EpisodeRecord, road: RoadMap, collision: Collision, lookbacks_s: Sequence[float]
 ) -> Iterator[tuple[float, str]]:
-    """Yield each look-back with each model that avoids the collision then, as the verdict says it."""
+    """Yield (look-back, model) for each model that avoids the collision by the criterion of the verdict."""
     view = TrafficView.of_record(record, road)
-    pusher = pushed_by(view, encounter_of(view, struck), 0)
+    pusher = pushed_by(view, encounter_of(view, collision), 0)
     for lookback_s in lookbacks_s:
-        for model, drive in drive_all(record, road, struck, lookback_s=lookback_s).items():
-            if avoids(record, struck, drive, pusher):
+        for model, drive in drive_all(record, road, collision, lookback_s=lookback_s).items():
+            if avoids(record, collision, drive, pusher):
                 yield lookback_s, model
 
 

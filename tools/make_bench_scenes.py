@@ -1,4 +1,4 @@
-"""Make the lists of seed scenes in scenarios/benches, or check them: make_bench_scenes.py [--check] [--only NAME].
+"""Write or check the lists of seed scenes in scenarios/benches: make_bench_scenes.py [--check] [--only NAME].
 
 The same nets and version of SUMO give the same bytes.
 """
@@ -32,7 +32,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "benches"
 TOWN, MOTORWAY = ("downtown", "downtown-left"), ("motorway",)
 
 
-def _found(density_per_km: float, situation: Situation, min_speed_mps: float) -> SceneOptions:
+def _scene_options(density_per_km: float, situation: Situation, min_speed_mps: float) -> SceneOptions:
     return SceneOptions(
         density_per_km=density_per_km,
         situation=situation,
@@ -42,17 +42,18 @@ def _found(density_per_km: float, situation: Situation, min_speed_mps: float) ->
     )
 
 
-#: Dense traffic, and thinner traffic in which the target moves and is about to do what a fault shows in.
+#: Dense traffic, and sparse traffic in which the target moves and approaches a situation that may reveal a defect.
 STRATA = {
-    "dense": Stratum(nets=(*TOWN, *MOTORWAY), scene=_found(20.0, "any", 3.0)),
-    "yielding": Stratum(nets=TOWN, scene=_found(8.0, "yielding", 3.0)),
-    "turning": Stratum(nets=TOWN, scene=_found(4.0, "turning", 6.0)),
-    "following": Stratum(nets=MOTORWAY, scene=_found(8.0, "following", 15.0)),
-    "merging": Stratum(nets=MOTORWAY, scene=_found(8.0, "merging", 15.0)),
-    "sparse": Stratum(nets=MOTORWAY, scene=_found(4.0, "merging", 15.0)),
+    "dense": Stratum(nets=(*TOWN, *MOTORWAY), scene=_scene_options(20.0, "any", 3.0)),
+    "yielding": Stratum(nets=TOWN, scene=_scene_options(8.0, "yielding", 3.0)),
+    "turning": Stratum(nets=TOWN, scene=_scene_options(4.0, "turning", 6.0)),
+    "following": Stratum(nets=MOTORWAY, scene=_scene_options(8.0, "following", 15.0)),
+    "merging": Stratum(nets=MOTORWAY, scene=_scene_options(8.0, "merging", 15.0)),
+    "sparse": Stratum(nets=MOTORWAY, scene=_scene_options(4.0, "merging", 15.0)),
 }
-#: The target comes first to a red light, which in the strata above it seldom does.
-RED_LIGHTS = {"red-light": Stratum(nets=TOWN, scene=_found(8.0, "red-light", 6.0))}
+#: The target is the first vehicle at a red light; this is rare in the strata above.
+RED_LIGHTS = {"red-light": Stratum(nets=TOWN, scene=_scene_options(8.0, "red-light", 6.0))}
+#: Name → scenes per net or stratum, seed, description, horizon in s, strata.
 LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
     TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", HORIZON_S, None),
     TABLE_LIST: (100, TABLE_SEED, "seed scenes of the tables: nothing is tuned on them", HORIZON_S, None),
@@ -68,20 +69,20 @@ LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
 
 
 def main() -> int:
-    """Write the lists, or with ``--check`` return 1 when one is not what this tool makes."""
+    """Write the lists; with ``--check``, return 1 if a list differs from what this tool makes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--only", choices=sorted(LISTS), help="this one alone")
-    asked = parser.parse_args()
+    given = parser.parse_args()
     stale = 0
-    for name, (each, seed, about, horizon_s, strata) in LISTS.items():
-        if asked.only in (None, name):
-            scene_list = make_list(each, seed, about, horizon_s=horizon_s, strata=strata)
+    for name, (count, seed, about, horizon_s, strata) in LISTS.items():
+        if given.only in (None, name):
+            scene_list = make_list(count, seed, about, horizon_s=horizon_s, strata=strata)
             path = FOLDER / f"{name}.json"
-            with tempfile.TemporaryDirectory() as aside:
-                write_scene_list(Path(aside) / path.name, scene_list)
-                content = (Path(aside) / path.name).read_bytes()
-            if not asked.check:
+            with tempfile.TemporaryDirectory() as scratch:
+                write_scene_list(Path(scratch) / path.name, scene_list)
+                content = (Path(scratch) / path.name).read_bytes()
+            if not given.check:
                 path.write_bytes(content)
             elif not path.exists() or path.read_bytes() != content:
                 stale += 1

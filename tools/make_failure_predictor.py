@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Makes ``advdiff_sumo/weights/failures.safetensors``: what is believed of a planner that nobody has met.
+"""Make ``advdiff_sumo/weights/failures.safetensors``: the prior for a planner that has had no encounters yet.
 
-Planners with planted defects, and two sound ones, meet lawful encounters of all kinds alike, on seed scenes that no
-table uses; the prior of ``models.failure_predictor`` is fitted to what came of them. Some minutes of one core; the same
-command goes on where it was stopped. One revision gives the same bytes.
+Planners with planted defects, and two sound ones, have the same lawful encounters of all kinds, on seed scenes that no
+table uses. The prior of ``models.failure_predictor`` is fitted to their outcomes. It takes some minutes on one core;
+the same command continues after an interruption. The same revision gives the same bytes.
 """
 
 from __future__ import annotations
@@ -32,34 +32,37 @@ DEFECTS = (
     *("late", "range", "flicker", "dropout", "tunnel", "blind-crossing", "blind-oncoming", "blind-standing"),
     *("blind-heavy", "frozen", "constant-velocity", "weak-brakes", "signals", "priority", "cut-in", "stuck"),
 )
-"""Planted at their strongest; the other six of the catalogue are kept to test with."""
-PLANS, INTERCEPT = 108, -3.0
+"""Planted at the severity ``strong``; the other defects of the catalogue are left for tests."""
+PLANS = 108
+"""Number of plans on each net."""
+INTERCEPT = -3.0
+"""Prior mean of the coefficients of kinds of encounters."""
 
 
 def main() -> int:
-    """Gather what is lacking, and write the prior."""
+    """Run the missing encounters, print the cross-validation, and write the prior."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="for what was gathered, e.g. build/failures")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, default=shipped_weights("failures"))
-    asked = parser.parse_args()
-    asked.folder.mkdir(parents=True, exist_ok=True)
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
     planners = [*SOUND, *(f"lane_graph/{defect}:strong" for defect in DEFECTS)]
-    paths = {asked.folder / f"{name.replace('/', '_').replace(':', '=')}.npz": name for name in planners}
+    paths = {given.folder / f"{name.replace('/', '_').replace(':', '=')}.npz": name for name in planners}
     tasks: dict[Path, Task] = {
         path: (gather, name, path) for path, name in paths.items() if not path.exists()
     }
-    for path, _ in in_processes(tasks, asked.workers):
+    for path, _ in in_processes(tasks, given.workers):
         print(path.stem, flush=True)
     met = {name: read(path) for path, name in paths.items()}
     check_left_out(met)
-    save_failures(fitted(list(met.values())), asked.out, {"revision": git_revision(), "planners": planners})
-    print(asked.out)
+    save_failures(fitted(list(met.values())), given.out, {"revision": git_revision(), "planners": planners})
+    print(given.out)
     return 0
 
 
 def gather(name: str, path: Path) -> None:
-    """Let the planner *name* meet encounters on each shipped net, all alike; write what came of them."""
+    """Let the planner *name* have the same encounters on each shipped net; write their features and outcomes."""
     one_thread_for_good()
     target, _, defect = name.partition("/")
     count = len(FEATURES)
@@ -77,7 +80,7 @@ def gather(name: str, path: Path) -> None:
         )
         met.append(meet(options, flat, PLANS, lambda _: None, learns=False, probes=False))
     features, outcomes = (
-        np.concatenate([getattr(one, part) for one in met]) for part in ("features", "outcomes")
+        np.concatenate([getattr(result, part) for result in met]) for part in ("features", "outcomes")
     )
     np.savez(path, X=features, Y=outcomes)
 
@@ -89,19 +92,19 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def fitted(met: list[tuple[FloatArray, FloatArray]]) -> FailurePredictor:
-    """Return the prior of these planners."""
+    """Return the prior fitted to the encounters of planners."""
     return fit_prior(met, len(KINDS), INTERCEPT)
 
 
 def check_left_out(met: dict[str, tuple[FloatArray, FloatArray]]) -> None:
-    """Print how well each planner is predicted from the others, and from a third of its own encounters as well."""
+    """Print how well each planner is predicted from the others alone, and also from a third of its own encounters."""
     print(f"{'left out':36} encounters  failures  loss: prior, adapted   AUC: prior, adapted")
     for name, (x, y) in met.items():
         prior = fitted([other for key, other in met.items() if key != name])
-        first = np.arange(len(y)) % 3 == 0
-        adapted = prior.adapted(x[first], y[first])
-        rest, came = x[~first], y[~first]
-        figures = [(loss(one, rest, came), auc(one, rest, came)) for one in (prior, adapted)]
+        is_known = np.arange(len(y)) % 3 == 0
+        adapted = prior.adapted(x[is_known], y[is_known])
+        test_x, test_y = x[~is_known], y[~is_known]
+        figures = [(loss(model, test_x, test_y), auc(model, test_x, test_y)) for model in (prior, adapted)]
         print(
             f"{name:36} {len(y):10} {int((y == 1.0).sum()):9}  "
             f"{figures[0][0]:10.2f} {figures[1][0]:8.2f}   {figures[0][1]:10.2f} {figures[1][1]:8.2f}"
@@ -115,7 +118,7 @@ def loss(predictor: FailurePredictor, features: FloatArray, outcomes: FloatArray
 
 
 def auc(predictor: FailurePredictor, features: FloatArray, outcomes: FloatArray) -> float:
-    """Return the probability that a failure is ranked above what is none; NaN where there is no pair."""
+    """Return the probability that a failure is ranked above another outcome; NaN if there is no such pair."""
     p, failed = predictor.probability(features), outcomes == 1.0
     above = p[failed][:, None] - p[~failed][None]
     return float((above > 0.0).mean() + 0.5 * (above == 0.0).mean()) if above.size else float("nan")

@@ -1,4 +1,4 @@
-"""Makes the shipped networks: `python tools/make_networks.py downtown` writes networks/downtown.*.xml."""
+"""Make the shipped networks: `python tools/make_networks.py downtown` writes networks/downtown.*.xml."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from advdiff_sumo.maps.on_foot.add_paths import add_foot_paths
 
 @dataclass(frozen=True)
 class Recipe:
-    """A layout, the width of the footways along its kerbs, 0 for none, and whether people walk and cross there."""
+    """How to make a network.
+
+    Attributes:
+        plan: returns the layout.
+        footway_m: width of the footways along kerbs; 0: none.
+        crossings: whether pedestrians can walk and cross.
+    """
 
     plan: Callable[[], Plan]
     footway_m: float = 2.5
@@ -32,19 +38,19 @@ RECIPES: dict[str, Recipe] = {
 
 
 def make(name: str, folder: Path) -> str:
-    """Write NAME.net.xml and NAME.poly.xml into `folder`; returns netconvert's warnings."""
+    """Write NAME.net.xml and NAME.poly.xml into `folder`; return netconvert's warnings."""
     recipe = RECIPES[name]
     net_file = folder / f"{name}.net.xml"
     warnings = netconvert.build(recipe.plan(), net_file)
     poly_file = folder / f"{name}.poly.xml"
     sidecar.write(net_file, poly_file, name, recipe.footway_m)
-    if recipe.crossings:  # after the side-car, whose areas are those of the same net without
+    if recipe.crossings:  # after the side-car, whose areas must be those of the net without crossings
         add_foot_paths(net_file, [], guess=True)
     return warnings
 
 
 def main() -> None:
-    """Command line."""
+    """Make the networks that the command line names; by default, all."""
     parser = argparse.ArgumentParser(description="Make the shipped networks and their side-cars.")
     parser.add_argument("names", nargs="*", choices=[*RECIPES, []], help="which (default: all)")
     default = Path(__file__).resolve().parent.parent / "networks"

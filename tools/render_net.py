@@ -1,4 +1,4 @@
-"""Draws a net and its side-car: `python tools/render_net.py NET -o PNG [--window X0 Y0 X1 Y1]`."""
+"""Draw a net and its side-car: `python tools/render_net.py NET -o PNG [--window X0 Y0 X1 Y1]`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-mpl.use("Agg")  # a file is drawn, no display is needed
+mpl.use("Agg")  # draws to a file without a display
 import matplotlib.pyplot as plt
 import numpy as np
 import shapely
@@ -25,13 +25,15 @@ FILLS = {
 }
 GROUND = "#e4ebdc"
 FALLBACK = "#6d7278"
-BEYOND_TYPE = "beyond_rim"  # of streets and return edges beyond the rim of a map, which no side-car covers
+BEYOND_TYPE = (
+    "beyond_rim"  # type of streets and return edges beyond the rim of a map; side-cars do not cover them
+)
 BEYOND = "#a9adb2"
 SIGNAL = {"G": "#2fbf4f", "g": "#9ad14b", "y": "#f0c419", "r": "#e0413a", "s": "#e0413a", "o": "#f0c419"}
 
 
 def draw(net_file: Path, target: Path, window: list[float] | None, pixels: int, paths: bool) -> None:
-    """Draw one net to a PNG of about `pixels` along its longer side."""
+    """Draw a net to a PNG with about `pixels` on its longer side; `paths`: with the paths through junctions."""
     net = sumolib.net.readNet(str(net_file), withInternal=True, withPrograms=True)
     x0, y0, x1, y1 = window or _bounds(net)
     size = pixels / 100 / max(x1 - x0, y1 - y0)
@@ -103,7 +105,7 @@ def _draw_markings(axes: Axes, net: Any, scale: float) -> None:
 
 
 def _side(line: LineString, offset_m: float) -> list[np.ndarray]:
-    """Return the parts of *line* shifted to the left; a bend narrower than that has several."""
+    """Return *line* shifted to the left; it may consist of several parts if a bend is narrower than the offset."""
     return [
         shapely.get_coordinates(part)
         for part in shapely.get_parts(line.offset_curve(offset_m, join_style="mitre"))
@@ -111,7 +113,7 @@ def _side(line: LineString, offset_m: float) -> list[np.ndarray]:
 
 
 def _lefthand(net: Any) -> bool:
-    """Whether lane 0 is the leftmost; sumolib does not keep the net's own flag. False where no edge has two."""
+    """Return whether lane 0 is the leftmost, as sumolib does not read the net's flag; False for single lanes."""
     lanes = (edge.getLanes() for edge in net.getEdges(withInternal=False) if edge.getLaneNumber() > 1)
     pair = next(lanes, None)
     if pair is None:
@@ -140,7 +142,7 @@ def _draw_signals(axes: Axes, net: Any, scale: float) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Draw the net that the command line names."""
     parser = argparse.ArgumentParser(description="Draw a SUMO net with its side-car, markings and signals.")
     parser.add_argument("net", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True, help="PNG to write")

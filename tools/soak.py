@@ -1,9 +1,9 @@
-"""Drives every background, target and attack on many nets: soak.py OUT [--data FOLDER] [--episodes 2] [--workers 2].
+"""Run every background, target and attack on many nets: soak.py OUT [--data FOLDER] [--episodes 2] [--workers 2].
 
-A place (net, demand or log) is a sweep of its own in OUT/NAME; called again, finished episodes stay, the rest is run.
-Then the states are checked from outside: NaN, jumps, vehicles that SUMO drives off all lanes, and the contacts of the
-target with shapely. Every failure is a line with the command that repeats its episode, on the terminal and in
-OUT/failures.txt. The exit code is 1 where there is one, and 130 after Ctrl-C: called again, it goes on.
+Each place (net, demand or log) is a sweep in OUT/NAME. A second call keeps finished episodes and runs the others. Then
+the states are checked independently: NaN, jumps, vehicles that SUMO drives beside all lanes, and the contacts of the
+target, by shapely. Every failure is a line with the command that repeats its episode, on the terminal and in
+OUT/failures.txt. The exit code is 1 if there is a failure, and 130 after Ctrl-C; the same command continues.
 """
 
 from __future__ import annotations
@@ -55,44 +55,44 @@ SCENE = {
     "max_vehicles": 400,
 }
 RETRIES = 1
-#: What must not happen: failures that nothing explains, and hangs. All others say whose fault they are.
+#: Kinds of failures that must not occur: those without explanation, and hangs. All others name their cause.
 UNTYPED = UNEXPLAINED_KINDS | {"timeout"}
 
 
 def main() -> int:
-    """Drive, check and print a table."""
+    """Run and check all places, and print a line for each; return the exit code."""
     options = _options()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     one_thread_for_good()
     options.out.mkdir(parents=True, exist_ok=True)
-    until = time.monotonic() + 60.0 * options.minutes
+    deadline = time.monotonic() + 60.0 * options.minutes
     total: Counter[str] = Counter()
     with (options.out / "failures.txt").open("w", encoding="utf-8") as file:
         for place in places(options.out / "nets", options.data, options.seeds):
-            if time.monotonic() > until:
+            if time.monotonic() > deadline:
                 break
             if options.places is not None and place.name not in options.places:
                 continue
             counts: Counter[str] = Counter()
-            for word, line in _soaked(place, options):
-                counts[word] += 1
+            for result, line in _results(place, options):
+                counts[result] += 1
                 if line:
-                    print(f"{word}: {place.name}: {line}", file=file, flush=True)
-                    print(f"  {word}: {line}")
-            print(f"{place.name:44} {_words(counts)}", flush=True)
+                    print(f"{result}: {place.name}: {line}", file=file, flush=True)
+                    print(f"  {result}: {line}")
+            print(f"{place.name:44} {_counts_text(counts)}", flush=True)
             total += Counter({**counts, "places": 1})
-    print(f"total: {_words(total)}")
-    return int(any(total[word] for word in ("untyped", "lost", "wrong", "broken")))
+    print(f"total: {_counts_text(total)}")
+    return int(any(total[result] for result in ("untyped", "lost", "wrong", "broken")))
 
 
-def _soaked(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """Yield a word for each episode of *place*, with a line where it failed or something of it is wrong."""
+def _results(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    """Yield a word for the result of each episode of *place*, and a line on what is wrong; "" if nothing is."""
     if place.problem:
         yield "no net", place.problem
         return
     folder = options.out / place.name
     try:
-        missing = _driven(place, folder, options)
+        missing = _run(place, folder, options)
     except AdvdiffError as error:
         yield "no scene", str(error)
         return
@@ -100,13 +100,13 @@ def _soaked(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, st
         yield "lost", f"no record of an episode; advdiff-sumo sweep {folder / 'sweep.toml'} --resume"
     failures = {row["episode"]: row for row in read_rows(folder, "failures")}
     for row in failures.values():
-        word = "untyped" if row["kind"] in UNTYPED else "typed"
-        yield word, f"{row['kind']}: {row['message']} | {row['command']}"
+        result = "untyped" if row["kind"] in UNTYPED else "typed"
+        yield result, f"{row['kind']}: {row['message']} | {row['command']}"
     rows = {row["episode"]: row for row in read_rows(folder, "episodes")}
     keys = {number: row["key"] for number, row in rows.items()}
     wrong: set[int] = set()
     replays = {number for number, row in rows.items() if row["background"] == "replay"}
-    for number, sentence in _checked(place, folder, replays):
+    for number, sentence in _problems(place, folder, replays):
         wrong.add(number)
         yield "wrong", f"{sentence} | advdiff-sumo replay {keys.get(number, number)} --sweep {folder}"
     for number in keys:
@@ -114,8 +114,8 @@ def _soaked(place: Place, options: argparse.Namespace) -> Iterator[tuple[str, st
             yield "sound", ""
 
 
-def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
-    """Run what *folder* lacks; return how many episodes are missing."""
+def _run(place: Place, folder: Path, options: argparse.Namespace) -> int:
+    """Run the episodes that are not in *folder* yet; return how many are missing afterwards."""
     backgrounds = [
         choice
         for choice in (*BACKGROUNDS, *(SLOW if options.slow else ()))
@@ -143,10 +143,10 @@ def _driven(place: Place, folder: Path, options: argparse.Namespace) -> int:
     return run_sweep(plan, store, RemainingJobs.of(plan, store), executor, RETRIES, lambda *_: None)
 
 
-def _checked(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[int, str]]:
-    """Yield what is wrong in the states of the place's episodes, with the number of the episode.
+def _problems(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[int, str]]:
+    """Yield (episode, sentence) for what is wrong in the states of the place's episodes.
 
-    *replays* are episodes in which the others repeat what they do in the seed scene.
+    *replays* are the episodes in which the others repeat their recorded motion.
     """
     road = RoadMap.read(find_net(place.net))
     contacts = read_rows(folder, "collisions")
@@ -158,12 +158,12 @@ def _checked(place: Place, folder: Path, replays: set[int]) -> Iterator[tuple[in
             replay=number in replays,
             log=bool(place.scenes),
         )
-        mine = [row for row in contacts if row["episode"] == number]
-        for sentence in problems(states, road, mine):
+        own_contacts = [row for row in contacts if row["episode"] == number]
+        for sentence in problems(states, road, own_contacts):
             yield number, sentence
 
 
-def _words(counts: Counter[str]) -> str:
+def _counts_text(counts: Counter[str]) -> str:
     return ", ".join(f"{count} {word}" for word, count in sorted(counts.items()))
 
 

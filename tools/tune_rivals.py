@@ -1,9 +1,9 @@
-"""Collisions and plausibility of configurations of background policies, on seed scenes that no table uses.
+"""Compare collisions and plausibility of configurations of background policies, on seed scenes that no table uses.
 
-A configuration is a background with its options, ``strive:rate=0.3,persistence=0.8``; ``strive:`` alone is its
-default, as in the paper's tables: its attackers may do anything (``licence=reckless``) unless it says otherwise. All
-meet the same targets in the same seed scenes. What is there already in the folder is not run again, so that one
-configuration after the other can be added:
+A configuration is a background with its options, such as ``strive:rate=0.3,persistence=0.8``; ``strive:`` has the
+defaults of the paper's tables, with ``licence=reckless`` unless it is given. All configurations have the same targets
+in the same seed scenes. Finished episodes in the folder are not run again, so that configurations can be added one by
+one:
 
     python tools/tune_rivals.py advsim: advsim:spread=0.6 strive: --targets lane_graph,IDM --scenes 10
 
@@ -55,22 +55,22 @@ def options_of(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def samples_of(results: Sequence[EpisodeResult]) -> dict[str, Sample]:
-    """Return what the cells of one configuration and target are computed from."""
-    scenes, ones = tuple(one.scene for one in results), np.ones(len(results))
+    """Return the samples from which the table's cells of one configuration and target are computed."""
+    scenes, ones = tuple(result.scene for result in results), np.ones(len(results))
 
     def mean(values: list[Any], rate: bool = False) -> Ratio:
         return Ratio(scenes, np.array([value or 0.0 for value in values], dtype=np.float64), ones, rate)
 
     return {
-        "collision_rate": mean([one.row["target_collision"] for one in results], rate=True),
-        "touched": mean([one.row["bv_collisions"] for one in results]),
-        "off_road": mean([one.row["bv_offroad_vehicles"] for one in results]),
-        "cpu_s": mean([one.cpu_s for one in results]),
+        "collision_rate": mean([result.row["target_collision"] for result in results], rate=True),
+        "touched": mean([result.row["bv_collisions"] for result in results]),
+        "off_road": mean([result.row["bv_offroad_vehicles"] for result in results]),
+        "cpu_s": mean([result.cpu_s for result in results]),
     }
 
 
 def table_of(results: Gathered, title: str) -> Table:
-    """Return the table of what was gathered."""
+    """Return the table of the gathered *results*."""
     rows = [
         RowSamples(cell.row, cell.target, cell.row, samples_of(episodes))
         for cell, episodes in results.finished.items()
@@ -93,7 +93,7 @@ def cells_of(
 
 
 def main() -> None:
-    """Run, print and write."""
+    """Run the configurations, and print and write their table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,9 +1,9 @@
-"""Write the catalogue of docs/defects.md out of the code, its baseline and findings out of docs/tables, or check them.
+"""Write or check docs/defects.md: the catalogue from the code, baseline and findings from docs/tables.
 
     write_defects_doc.py [--check]
 
 The tables are those that ``tools/results_tables.toml`` names under ``defects``; ``tools/write_results.py`` makes them
-of folders of ``bench defects``.
+from folders of ``bench defects``.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _FINDINGS = re.compile(r"(<!-- findings -->\n).*?(<!-- end of findings -->)", re
 
 
 def filled(page: str) -> str:
-    """Return *page* with the catalogue as it is in the code, and the rest as it is in docs/tables."""
+    """Return *page* with the catalogue of the code, and with baseline and findings of docs/tables."""
     selection = read_selection()
-    names, counted = tables_of("defects", selection), selection["defects"].get("findings", [])
+    names, findings_names = tables_of("defects", selection), selection["defects"].get("findings", [])
     page = _PLACE.sub(lambda place: place[1] + catalogue_table() + place[2], page)
     page = _BASELINE.sub(lambda place: place[1] + baseline(names) + place[2], page)
-    return _FINDINGS.sub(lambda place: place[1] + findings(counted, rankings(names)) + place[2], page)
+    return _FINDINGS.sub(lambda place: place[1] + findings(findings_names, rankings(names)) + place[2], page)
 
 
 def baseline(names: list[str]) -> str:
-    """Return the valid failures in the tables *names* in whole percent, one row a defect, and the score.
+    """Return the valid failures in the tables *names* in whole percent, one row for each defect, and the score.
 
-    Bold: detected.
+    Detected defects are bold.
     """
     provenance = json.loads((TABLES / PROVENANCE).read_text(encoding="utf-8"))
     cells = {(line["target"], line["row"], line["column"]): line for line in _lines(names, "")}
@@ -68,7 +68,7 @@ def baseline(names: list[str]) -> str:
 
 
 def rankings(names: list[str]) -> dict[str, float]:
-    """Return by column how well the valid failures of the tables *names* rank defective above sound planners."""
+    """Return column → AUC with which the valid failures in *names* rank defective above sound planners."""
     rates: dict[str, tuple[list[float], list[float]]] = {}
     for line in _lines(names, ""):
         if line["row"] != SCORE and line["value"]:
@@ -79,7 +79,12 @@ def rankings(names: list[str]) -> dict[str, float]:
 
 
 def findings(names: list[str], ranked: dict[str, float]) -> str:
-    """Return what the collisions of ``lane_graph``, sound and with each defect, were worth, a row a background."""
+    """Return a table about the collisions of ``lane_graph``, sound and with each defect; one row for each background.
+
+    Args:
+        names: tables of findings.
+        ranked: background → AUC.
+    """
     counts = ("episodes", "collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
     heads = (*counts, "first detection of a defect, CPU s", "AUC")
     text = f"|  | {' | '.join(heads)} |\n|---|{'--:|' * len(heads)}\n"
@@ -95,23 +100,23 @@ def findings(names: list[str], ranked: dict[str, float]) -> str:
 
 
 def _run_text(name: str, columns: list[str], title: str) -> str:
-    """Return which *columns* of the table *name* come from how many seed scenes."""
+    """Return a text with the *columns* of the table *name* and their seed scenes, which are in *title*."""
     titles = ", ".join(policy_row(column).title for column in columns)
     return f"{titles}: {title.partition(': ')[2]} ([CSV](tables/{name}.csv))"
 
 
 def _lines(names: list[str], which: str) -> list[dict[str, str]]:
-    """Return the lines of all tables *names*; a column comes from the last one that has it."""
+    """Return the lines of all tables *names*; each column is taken from the last table that has it."""
     shown = _shown(names)
-    every = ((name, line) for name in names for line in _read(f"{name}{which}"))
-    return [line for name, line in every if line.get("column", "") in (*shown[name], "")]
+    lines = ((name, line) for name in names for line in _read(f"{name}{which}"))
+    return [line for name, line in lines if line.get("column", "") in (*shown[name], "")]
 
 
 def _shown(names: list[str]) -> dict[str, list[str]]:
-    """Return for each table which of its columns no later one has, in order."""
+    """Return table → its columns that no later table has, in order."""
     columns = {name: list(dict.fromkeys(line["column"] for line in _read(name))) for name in names}
-    last = {column: name for name, has in columns.items() for column in has}
-    return {name: [column for column in has if last[column] == name] for name, has in columns.items()}
+    last = {column: name for name, own in columns.items() for column in own}
+    return {name: [column for column in own if last[column] == name] for name, own in columns.items()}
 
 
 def _read(name: str) -> list[dict[str, str]]:
@@ -128,7 +133,7 @@ def _cell_text(line: dict[str, str] | None, detected: bool) -> str:
 
 
 def main() -> int:
-    """Write the page, or with ``--check`` return 1 when it is not up to date."""
+    """Write the page; with ``--check``, return 1 if it is not up to date."""
     return write_or_check(PAGE, filled, __doc__, "the code or docs/tables")
 
 

@@ -1,4 +1,4 @@
-"""Write the column tables of docs/outputs.md out of the code, or check them: write_outputs_doc.py [--check]."""
+"""Write or check the column tables of docs/outputs.md, from the code: write_outputs_doc.py [--check]."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from advdiff_sumo.sim.run_store import TABLES
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "outputs.md"
 _PLACE = re.compile(r"(<!-- columns of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FEWEST_SHARED = 2
-"""As many columns of a table above, one after the other, become one row."""
+"""At least this many successive columns of an earlier table become one row."""
 _IN_EVERY_TABLE = "episode"
-"""The page's introduction explains it."""
+"""This column is explained in the page's introduction."""
 
 
 def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column]]) -> str:
-    """Return *columns* as a Markdown table; columns that follow each other and mean the same share a row.
+    """Return *columns* as a Markdown table; successive columns with the same description share a row.
 
-    A run of columns of a table *above* is one row that refers to it.
+    Successive columns that are the same in a table *above* become one row, which refers to that table.
     """
     lines = ["| column | meaning |", "|---|---|"]
     names = [name for name in columns if name != _IN_EVERY_TABLE]
     while names:
-        run, where = max(
-            ((_shared(names, columns, other), at) for at, other in above.items()), default=([], "")
+        run, source = max(
+            ((_shared(names, columns, other), name) for name, other in above.items()), default=([], "")
         )
         if len(run) >= _FEWEST_SHARED:
-            lines.append(f"| `{run[0]}` to `{run[-1]}` | the {len(run)} columns as in `{where}` |")
+            lines.append(f"| `{run[0]}` to `{run[-1]}` | the {len(run)} columns as in `{source}` |")
         else:
-            run = _alike(names, columns)
+            run = _with_same_description(names, columns)
             cells = ", ".join(f"`{name}`{'?' * columns[name].nullable}" for name in run)
             lines.append(f"| {cells} | {columns[run[0]].description} |")
         names = names[len(run) :]
@@ -42,25 +42,26 @@ def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column
 
 
 def _shared(names: list[str], columns: Mapping[str, Column], above: Mapping[str, Column]) -> list[str]:
-    """Return the first of *names* up to where they no longer are the same columns of *above*, one after the other."""
-    first = list(above)[list(above).index(names[0]) :] if names[0] in above else []
-    same = [
-        name == other and columns[name] == above[other] for name, other in zip(names, first, strict=False)
+    """Return the leading *names* that are the same successive columns in *above*."""
+    candidates = list(above)[list(above).index(names[0]) :] if names[0] in above else []
+    is_same = [
+        name == other and columns[name] == above[other]
+        for name, other in zip(names, candidates, strict=False)
     ]
-    return names[: [*same, False].index(False)]
+    return names[: [*is_same, False].index(False)]
 
 
-def _alike(names: list[str], columns: Mapping[str, Column]) -> list[str]:
-    """Return the first of *names* up to where they no longer have the same description in *columns*."""
+def _with_same_description(names: list[str], columns: Mapping[str, Column]) -> list[str]:
+    """Return the leading *names* that have the same description in *columns*."""
     description = columns[names[0]].description
     return list(takewhile(lambda name: columns[name].description == description, names))
 
 
 def filled(page: str) -> str:
-    """Return *page* with each marked place filled from the code.
+    """Return *page* with the tables of the code at the marked places.
 
     Raises:
-        ValueError: a table has no place in it, or a place no table.
+        ValueError: a table has no place, or a place has no table.
     """
     places = [name for _, name, _ in _PLACE.findall(page)]
     if sorted(places) != sorted(TABLES):
@@ -73,7 +74,14 @@ def filled(page: str) -> str:
 
 
 def write_or_check(page: Path, fill: Callable[[str], str], about: str | None, source: str) -> int:
-    """Write *page* as *fill* makes it out of *source*, or with ``--check`` return 1 when it is not up to date."""
+    """Write *page* as returned by *fill*; with ``--check``, return 1 if it is not up to date.
+
+    Args:
+        page: the file.
+        fill: text of the page → updated text.
+        about: description for ``--help``.
+        source: where the contents come from, for the message.
+    """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing")
     check = parser.parse_args().check
@@ -88,7 +96,7 @@ def write_or_check(page: Path, fill: Callable[[str], str], about: str | None, so
 
 
 def main() -> int:
-    """Write the page, or with ``--check`` return 1 when it is not up to date."""
+    """Write the page; with ``--check``, return 1 if it is not up to date."""
     return write_or_check(PAGE, filled, __doc__, "the code")
 
 

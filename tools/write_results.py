@@ -1,9 +1,9 @@
-"""Put figures of finished benches into docs/tables and docs/results.md: write_results.py [--from runs] [--check].
+"""Write the figures of finished benches to docs/tables and docs/results.md: write_results.py [--from runs] [--check].
 
-A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv`` and an entry of ``provenance.json``,
-and ``NAME-by-stratum.csv`` and ``NAME-findings.csv`` where the bench has them. A place ``<!-- table NAME -->`` of the
-page shows what ``tools/results_tables.toml`` picks from that CSV and from those that it names under ``also``: further
-runs of the same bench, such as backgrounds that were tried later.
+A folder ``bench-NAME`` becomes ``docs/tables/NAME.csv``, ``NAME-differences.csv``, an entry of ``provenance.json``,
+and, if the bench has them, ``NAME-by-stratum.csv`` and ``NAME-findings.csv``. ``tools/results_tables.toml`` says which
+cells a place ``<!-- table NAME -->`` of the page shows. They come from that CSV and from those under ``also``: further
+runs of the same bench, such as backgrounds that were run later.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ SELECTION = ROOT / "tools" / "results_tables.toml"
 PROVENANCE = "provenance.json"
 _PLACE = re.compile(r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FLAGS = {"scenes": "--scenes", "policies": "--policies", "targets": "--targets", "horizon_s": "--horizon"}
-#: Said where it is not the usual.
-_UNUSUAL = ("licence", "seeds", "steps", "samples", "defects", "severity")
+#: Options that are part of the printed command if they differ from their defaults.
+_OPTIONAL = ("licence", "seeds", "steps", "samples", "defects", "severity")
 _KEY = ("target", "row", "column")
 
 
 def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
-    """Return the text of each file of ``docs/tables`` that a finished bench in *runs* gives.
+    """Return file → text for ``docs/tables``, from the finished benches in *runs*.
 
     Args:
-        runs: folder of the benches' folders.
-        names: tables that the page is made of.
+        runs: folder that contains the benches' folders.
+        names: tables of the page.
     """
     provenance = json.loads((TABLES / PROVENANCE).read_text(encoding="utf-8"))
     files: dict[str, str] = {}
@@ -59,7 +59,7 @@ def bench_files(runs: Path, names: list[str]) -> dict[str, str]:
 
 
 def filled(page: str, files: dict[str, str], selection: dict[str, Any]) -> str:
-    """Return *page* with every place filled from *files*, or from ``docs/tables`` where these lack it."""
+    """Return *page* with every place filled from *files*, or from ``docs/tables`` if a file is missing there."""
 
     def text(name: str) -> str:
         return files[name] if name in files else (TABLES / name).read_text(encoding="utf-8")
@@ -78,7 +78,7 @@ def filled(page: str, files: dict[str, str], selection: dict[str, Any]) -> str:
 
 
 def read_selection() -> dict[str, Any]:
-    """Return what each place of the page shows."""
+    """Return place → the cells that it shows."""
     return tomllib.loads(SELECTION.read_text(encoding="utf-8"))
 
 
@@ -94,9 +94,9 @@ def _source(name: str, provenance: dict[str, Any]) -> str:
 
 
 def picked(lines: list[dict[str, str]], selection: dict[str, Any]) -> str:
-    """Return as Markdown the cells of *lines*, a CSV's, that *selection* picks.
+    """Return a Markdown table of the cells that *selection* picks from *lines* of a CSV file.
 
-    A row and a column of the selection each give a part of ``target``, ``row`` and ``column``, which name one line.
+    A row and a column of the selection together give ``target``, ``row`` and ``column``, which identify a line.
     """
     cells = {tuple(line[key] for key in _KEY): line for line in lines}
     text = f"|  | {' | '.join(column['title'] for column in selection['columns'])} |\n"
@@ -120,7 +120,7 @@ def _cell(line: dict[str, str] | None, digits: int) -> str:
 
 
 def command(bench: Path) -> str:
-    """Return the command that asks for what the folder *bench* holds."""
+    """Return the command that produced the folder *bench*."""
     request = json.loads((bench / "bench.json").read_text(encoding="utf-8"))["request"]
     words = ["advdiff-sumo", "bench", request["bench"]]
     for key, flag in _FLAGS.items():
@@ -130,7 +130,7 @@ def command(bench: Path) -> str:
         if value and not (request["bench"] == "traffic" and key == "horizon_s"):
             words += [flag, f"{value:g}" if isinstance(value, float) else Path(str(value)).name]
     words += ["--data windows"] if request["data"] else []
-    for key in _UNUSUAL:
+    for key in _OPTIONAL:
         value = request.get(key)
         if value and value != Request.model_fields[key].default:
             words += [f"--{key}", ",".join(value) if isinstance(value, list) else str(value)]
@@ -138,7 +138,7 @@ def command(bench: Path) -> str:
 
 
 def main() -> int:
-    """Write tables and page, or with ``--check`` return 1 when they are not what the folders hold."""
+    """Write tables and page; with ``--check``, return 1 if they differ from the contents of the folders."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--from", dest="folder", type=Path, default=Path("runs"), help="folder of the benches' folders"

@@ -1,4 +1,4 @@
-"""Motorway carriageways with auxiliary lanes on either side, and the ramps that join them."""
+"""Lay motorway carriageways with auxiliary lanes on either side, and their ramps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LANES = 3
 
 @dataclass(frozen=True)
 class Section:
-    """A stretch of carriageway, from `start_m` along it, with auxiliary lanes beside the three main ones."""
+    """A section of a carriageway from arc length `start_m` on, with `left` and `right` auxiliary lanes."""
 
     start_m: float
     left: int = 0
@@ -25,7 +25,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Carriageway:
-    """One direction of a motorway; `curve` is the left border of its main lanes, sections in order."""
+    """One direction of a motorway; `curve` is the left border of its main lanes, `sections` are in order."""
 
     name: str
     curve: Curve
@@ -33,15 +33,15 @@ class Carriageway:
     width_m: float = 3.5
 
     def node(self, index: int) -> str:
-        """Name of the node at which section `index` begins."""
+        """Return the name of the node at which section `index` begins."""
         return f"{self.name}{index}"
 
     def edge(self, index: int) -> str:
-        """Name of the edge of section `index`."""
+        """Return the name of the edge of section `index`."""
         return f"{self.name}{index}-{self.name}{index + 1}"
 
     def lane_middle(self, index: int, left: bool) -> tuple[tuple[float, float], float]:
-        """Middle (m) and heading (rad) of the auxiliary lane beside the node of section `index`."""
+        """Return the centre (m) and heading (rad) of the auxiliary lane beside the node of section `index`."""
         station = self.sections[index].start_m
         offset = self.width_m / 2 if left else -(LANES + 0.5) * self.width_m
         x, y = self.curve.at(station, offset)[0]
@@ -49,7 +49,7 @@ class Carriageway:
 
 
 def lay_carriageway(plan: Plan, road: Carriageway) -> None:
-    """Add nodes, edges and through links; a lane without a counterpart ahead ends there."""
+    """Add nodes, edges and through links; a lane without a counterpart in the next section ends."""
     bounds = [*(s.start_m for s in road.sections), road.curve.length_m]
     for i, station in enumerate(bounds):
         x, y = road.curve.at(station, -LANES / 2 * road.width_m)[0]
@@ -63,18 +63,19 @@ def lay_carriageway(plan: Plan, road: Carriageway) -> None:
                 section.speed_mps, 20, shape, "right", road.width_m,
             )
         )  # fmt: skip
-    for i, (here, there) in enumerate(zip(road.sections, road.sections[1:], strict=False)):
-        for lane in range(LANES + min(here.left, there.left) + min(here.right, there.right)):
-            right = min(here.right, there.right)
-            pair = (lane + here.right - right, lane + there.right - right)
-            plan.links.append(Link(road.edge(i), road.edge(i + 1), *pair))
+    for i, (section, following) in enumerate(zip(road.sections, road.sections[1:], strict=False)):
+        for lane in range(LANES + min(section.left, following.left) + min(section.right, following.right)):
+            right = min(section.right, following.right)
+            lanes = (lane + section.right - right, lane + following.right - right)
+            plan.links.append(Link(road.edge(i), road.edge(i + 1), *lanes))
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """A one-lane ramp between the node of a section and a surface node; it meets that node at `heading_rad`.
+    """A one-lane ramp between the node of a section and a surface node.
 
-    `aside_m` is how far to the right of the node it does, to line up with a lane of a two-way road.
+    It has the heading `heading_rad` at the surface node, `aside_m` to its right, so that it meets a lane of a two-way
+    road.
     """
 
     name: str
@@ -89,14 +90,14 @@ class Ramp:
 
 
 def lay_ramps(plan: Plan, ramps: Sequence[Ramp]) -> None:
-    """Add ramps and their links; the section before an exit, and after an entry, has the auxiliary lane."""
+    """Add ramps and their links; the section before an exit and after an entry must have an auxiliary lane."""
     for ramp in ramps:
         pose, heading = ramp.road.lane_middle(ramp.section, ramp.left)
-        there = _kerb_side(plan.nodes[ramp.node].xy_m, ramp)
+        surface = _right_of(plan.nodes[ramp.node].xy_m, ramp)
         main = ramp.road.node(ramp.section)
         ends = (main, ramp.node) if ramp.leaves else (ramp.node, main)
-        forward = (pose, heading, there, ramp.heading_rad)
-        shape = hermite(*forward) if ramp.leaves else hermite(there, ramp.heading_rad, pose, heading)
+        forward = (pose, heading, surface, ramp.heading_rad)
+        shape = hermite(*forward) if ramp.leaves else hermite(surface, ramp.heading_rad, pose, heading)
         name = f"{ends[0]}-{ends[1]}"
         plan.add_edge(
             Edge(name, *ends, ramp.name, 1, ramp.speed_mps, 8, np.asarray(shape), "center", ramp.road.width_m)
@@ -107,6 +108,7 @@ def lay_ramps(plan: Plan, ramps: Sequence[Ramp]) -> None:
         plan.links.append(Link(edge.name, name, lane, 0) if ramp.leaves else Link(name, edge.name, 0, lane))
 
 
-def _kerb_side(xy_m: tuple[float, float], ramp: Ramp) -> tuple[float, float]:
+def _right_of(xy_m: tuple[float, float], ramp: Ramp) -> tuple[float, float]:
+    """Return the point `ramp.aside_m` to the right of a point."""
     right = ramp.heading_rad - np.pi / 2
     return float(xy_m[0] + ramp.aside_m * np.cos(right)), float(xy_m[1] + ramp.aside_m * np.sin(right))

@@ -1,7 +1,8 @@
-"""Turns through junctions as a straight and one arc, with the speed at which a car takes it calmly.
+"""Shape turns through junctions as a straight line and an arc, with a comfortable speed.
 
-netconvert draws a turn as a quadratic curve whose control point is where the lanes' directions meet; with legs of
-unequal length its tightest radius is a third of what the corner allows, and its speed follows the mean radius.
+netconvert draws a turn as a quadratic curve whose control point is the intersection of the lanes' directions. If its
+legs have unequal lengths, its tightest radius is a third of what the corner allows, and its speed is that of the mean
+radius.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ STEP_RAD = math.radians(5.0)
 
 
 def round_corners(plan: Plan, net: Any) -> Plan:
-    """The plan with shapes and speeds for every turn that one arc can make.
+    """Return the plan with shapes and speeds for every turn that consists of one arc.
 
     Args:
         plan: the plan from which `net` was made.
-        net: sumolib net of the plan without shapes: it tells where lanes end at junctions.
+        net: sumolib net of the plan without shapes; it has the positions at which lanes end at junctions.
     """
     links = []
     for link in plan.links:
@@ -37,19 +38,30 @@ def round_corners(plan: Plan, net: Any) -> Plan:
 
 
 def _rounded(link: Link, entry: Points, leave: Points, limit_mps: float) -> Link:
-    ahead, onward = _unit(entry[1] - entry[0]), _unit(leave[1] - leave[0])
-    turn = math.atan2(ahead[0] * onward[1] - ahead[1] * onward[0], float(ahead @ onward))
+    """Return `link` with a straight line and an arc as its shape; unchanged if one arc cannot make the turn.
+
+    Args:
+        link: the link.
+        entry: (2, 2) last two points of the lane that it leaves.
+        leave: (2, 2) first two points of the lane that it enters.
+        limit_mps: speed limit.
+    """
+    heading_in, heading_out = _unit(entry[1] - entry[0]), _unit(leave[1] - leave[0])
+    cross = heading_in[0] * heading_out[1] - heading_in[1] * heading_out[0]
+    turn = math.atan2(cross, float(heading_in @ heading_out))
     if not FLATTEST_RAD <= abs(turn) <= SHARPEST_RAD:
         return link
-    a, b = np.linalg.solve(np.stack([ahead, onward], axis=1), leave[0] - entry[1])
+    a, b = np.linalg.solve(
+        np.stack([heading_in, heading_out], axis=1), leave[0] - entry[1]
+    )  # lengths of the legs
     if min(a, b) <= 0.5:
         return link
     leg = float(min(a, b))
     radius = leg / math.tan(abs(turn) / 2)
-    corner = entry[1] + a * ahead
-    shape = np.vstack([entry[1], _arc(corner - leg * ahead, ahead, radius, turn), leave[0]])
-    distinct = np.hypot(*np.diff(shape, axis=0).T) > 0.02
-    shape = np.vstack([shape[0], shape[1:][distinct]])
+    corner = entry[1] + a * heading_in
+    shape = np.vstack([entry[1], _arc(corner - leg * heading_in, heading_in, radius, turn), leave[0]])
+    is_distinct = np.hypot(*np.diff(shape, axis=0).T) > 0.02
+    shape = np.vstack([shape[0], shape[1:][is_distinct]])
     shape[-1] = leave[0]
     return dataclasses.replace(
         link, shape_m=shape, speed_mps=min(limit_mps, math.sqrt(LATERAL_MPS2 * radius))
@@ -57,7 +69,7 @@ def _rounded(link: Link, entry: Points, leave: Points, limit_mps: float) -> Link
 
 
 def _arc(start: Points, heading: Points, radius_m: float, turn_rad: float) -> Points:
-    """Points on an arc that leaves `start` along `heading` and turns by `turn_rad`."""
+    """Return points (N, 2) on an arc that begins at `start` with `heading` and turns by `turn_rad`."""
     count = max(4, math.ceil(abs(turn_rad) / STEP_RAD)) + 1
     swept = np.linspace(0.0, abs(turn_rad), count)
     left = math.copysign(1.0, turn_rad) * np.array([-heading[1], heading[0]])

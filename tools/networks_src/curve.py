@@ -1,4 +1,4 @@
-"""Smooth plane curves that streets follow: splines by arc length, tangent arcs, circles."""
+"""Smooth plane curves for streets: splines by arc length, Hermite curves, arcs of circles."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ FLATNESS_M = 0.015
 
 
 class Curve:
-    """A C2 spline through points, addressed by the distance travelled along it.
+    """A C2 spline through points, parameterised by arc length.
 
     Args:
-        points_m: (N, 2) points in order, N ≥ 2, none repeated.
+        points_m: (N, 2) points in order, N ≥ 2, without repetitions.
     """
 
     def __init__(self, points_m: Points) -> None:
@@ -33,11 +33,11 @@ class Curve:
 
     @property
     def length_m(self) -> float:
-        """Distance from the first point to the last."""
+        """Length of the curve."""
         return float(self._travelled[-1])
 
     def at(self, station_m: float | Points, offset_m: float | Points = 0.0) -> Points:
-        """Points (N, 2) at stations, moved `offset_m` to the left of the direction of travel."""
+        """Return points (N, 2) at arc lengths `station_m`, moved `offset_m` to the left of the direction of travel."""
         parameter = np.interp(np.atleast_1d(station_m), self._travelled, self._parameter)
         tangent = self._spline(parameter, 1)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -45,24 +45,24 @@ class Curve:
         return np.asarray(self._spline(parameter) + np.reshape(offset_m, (-1, 1)) * normal)
 
     def heading_rad(self, station_m: float) -> float:
-        """Direction of travel at a station."""
+        """Return the heading at an arc length."""
         dx, dy = self._spline(np.interp(station_m, self._travelled, self._parameter), 1)
         return float(np.arctan2(dy, dx))
 
     def piece(self, start_m: float, end_m: float, offset_m: float = 0.0) -> Points:
-        """The curve from one station to another (backwards if `end_m` < `start_m`), moved left by `offset_m`.
+        """Return the curve between two arc lengths (backwards if `end_m` < `start_m`), moved left by `offset_m`.
 
-        The offset is to the left of the curve itself, whichever way the piece runs.
+        The offset is to the left of the curve itself, also if the piece runs backwards.
         """
         count = max(2, int(np.ceil(abs(end_m - start_m) / STEP_M)) + 1)
         return flatten(self.at(np.linspace(start_m, end_m, count), offset_m))
 
 
 def normals(points_m: Points) -> Points:
-    """Unit vectors (N, 2) to the left of a polyline at its points."""
-    ahead = np.gradient(points_m, axis=0)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    return np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    """Return unit vectors (N, 2) to the left of a polyline at its points."""
+    tangent = np.gradient(points_m, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
 
 def flatten(points_m: Points) -> Points:
@@ -71,7 +71,7 @@ def flatten(points_m: Points) -> Points:
 
 
 def hermite(start_m: ArrayLike, heading_start_rad: float, end_m: ArrayLike, heading_end_rad: float) -> Points:
-    """A smooth curve (N, 2) between two poses: cubic Hermite with tangents as long as the chord."""
+    """Return a smooth curve (N, 2) between two poses: cubic Hermite with tangents as long as the chord."""
     start, end = np.asarray(start_m, dtype=float), np.asarray(end_m, dtype=float)
     chord = float(np.hypot(*(end - start)))
     t = np.linspace(0.0, 1.0, max(8, int(chord / STEP_M)))[:, None]
@@ -81,7 +81,7 @@ def hermite(start_m: ArrayLike, heading_start_rad: float, end_m: ArrayLike, head
 
 
 def arc(centre_m: Sequence[float], radius_m: float, start_rad: float, sweep_rad: float) -> Points:
-    """Points (N, 2) on a circle, from `start_rad` through `sweep_rad` (positive counter-clockwise)."""
+    """Return points (N, 2) on a circle, from the angle `start_rad` over `sweep_rad` (positive counter-clockwise)."""
     count = max(5, int(np.ceil(abs(sweep_rad) / np.radians(4.0))) + 1)
     angle = start_rad + np.linspace(0.0, sweep_rad, count)
     return np.asarray(centre_m) + radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)

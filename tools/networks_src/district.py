@@ -1,4 +1,4 @@
-"""From tables of junctions and streets to the plan of a district with a roundabout."""
+"""Make the plan of a district with a roundabout from tables of junctions and streets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,16 @@ def lay_district(
     ring: Roundabout,
     arms: Sequence[str],
 ) -> Plan:
-    """Fill the plan; `kinds` names the junctions of each kind, the rest are "priority", `arms` those at the `ring`."""
+    """Fill the plan and return it.
+
+    Args:
+        plan: empty plan.
+        places: junction → position in m.
+        kinds: kind → its junctions; all others are "priority".
+        streets: the streets.
+        ring: the roundabout.
+        arms: junctions at which the arms of the roundabout begin.
+    """
     kind_of = {name: kind for kind, names in kinds.items() for name in names}
     for name, xy in places.items():
         plan.add_node(Node(name, xy, kind_of.get(name, "priority")))

@@ -1,4 +1,4 @@
-"""The left-hand downtown district: another town, laid out along a north-south arterial."""
+"""The left-hand downtown district: a different town, laid out along a north-south arterial."""
 
 from __future__ import annotations
 

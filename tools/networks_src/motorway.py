@@ -1,7 +1,7 @@
-"""The motorway: two carriageways that part around a service area, half interchanges, a weave.
+"""The motorway: two carriageways on either side of a service area, half interchanges, a weaving section.
 
-No road crosses another on a bridge: SUMO's plane has one level, and boxes that overlap are a collision.
-The two directions are joined by the service area in the median instead.
+There are no bridges: SUMO's plane has one level, and boxes that overlap are a collision. The service area in the median
+connects the two directions instead.
 """
 
 from __future__ import annotations
@@ -17,30 +17,32 @@ from networks_src.turns import connect
 AXIS = Curve(
     np.array([(0, 0), (700, 50), (1400, 50), (2100, 0), (2800, -30), (3400, 10), (4000, 110)], dtype=float)
 )
+#: Distance of each carriageway from the axis: usually, and beside the service area.
 HALF_MEDIAN_M, SERVICE_M = 4.0, 58.0
+#: Stations between which the carriageways diverge, and between which they converge.
 PART_M, APART_M, CLOSE_M, TOGETHER_M = 1700.0, 2200.0, 2700.0, 3200.0
 FAST, DERESTRICTED = 33.33, 36.11
 
 
 def _half_gap(station_m: Points) -> Points:
-    """Distance of each carriageway from the axis: constant, then a cosine out and back."""
-    out = np.clip((station_m - PART_M) / (APART_M - PART_M), 0.0, 1.0)
-    back = np.clip((station_m - CLOSE_M) / (TOGETHER_M - CLOSE_M), 0.0, 1.0)
+    """Return the distance of each carriageway from the axis; it grows and shrinks along cosines."""
+    growth = np.clip((station_m - PART_M) / (APART_M - PART_M), 0.0, 1.0)
+    shrinkage = np.clip((station_m - CLOSE_M) / (TOGETHER_M - CLOSE_M), 0.0, 1.0)
     return np.asarray(
-        HALF_MEDIAN_M + (SERVICE_M - HALF_MEDIAN_M) * (np.cos(np.pi * back) - np.cos(np.pi * out)) / 2
+        HALF_MEDIAN_M + (SERVICE_M - HALF_MEDIAN_M) * (np.cos(np.pi * shrinkage) - np.cos(np.pi * growth)) / 2
     )
 
 
 def _carriageway(name: str, sections: tuple[Section, ...]) -> Carriageway:
-    """East- or westbound; sections are given by station along the axis and turned into their own distances."""
-    east = name == "E"
+    """Return the carriageway "E" (eastbound) or "W"; the sections are given by their stations along the axis."""
+    is_east = name == "E"
     stations = np.linspace(0.0, AXIS.length_m, 90)
-    stations = stations if east else stations[::-1]
-    points = AXIS.at(stations, (-1.0 if east else 1.0) * _half_gap(stations))
+    stations = stations if is_east else stations[::-1]
+    points = AXIS.at(stations, (-1.0 if is_east else 1.0) * _half_gap(stations))
     curve = Curve(points)
-    way = 1.0 if east else -1.0
-    own = [float(np.interp(way * s.start_m, way * stations, curve.stations_m)) for s in sections]
-    laid = (Section(d, s.left, s.right, s.speed_mps) for d, s in zip(own, sections, strict=True))
+    sign = 1.0 if is_east else -1.0
+    starts = [float(np.interp(sign * s.start_m, sign * stations, curve.stations_m)) for s in sections]
+    laid = (Section(d, s.left, s.right, s.speed_mps) for d, s in zip(starts, sections, strict=True))
     return Carriageway(name, curve, tuple(laid))
 
 
@@ -96,7 +98,7 @@ RIGHT_BEFORE_LEFT = ("S2", "S3")
 
 
 def _link(name: str, course: tuple[str, ...]) -> Street:
-    """A link road: two lanes from the ramps to the signals, one in the other direction and beyond."""
+    """Return a link road: two lanes from the ramps to the signals, one lane back and beyond the signals."""
     return Street(name, course, ahead=2, speed_mps=13.89, priority=4, changes={course[1]: (1, 1)})
 
 
@@ -118,6 +120,7 @@ STREETS = (
 
 
 def _ramps() -> list[Ramp]:
+    """Return all ramps; the headings in the table are relative to the axis."""
     east, west = EASTBOUND, WESTBOUND
     slant = np.radians(20.0)
     table = [
@@ -133,9 +136,9 @@ def _ramps() -> list[Ramp]:
     ]  # fmt: skip
     ramps = []
     for name, road, section, node, heading, leaves, left in table:
-        at = AXIS.heading_rad(PLACES[node][0])
+        axis = AXIS.heading_rad(PLACES[node][0])
         ramps.append(
-            Ramp(name, road, section, node, float(heading) + at, leaves, left, 1.625 if left else 0.0)
+            Ramp(name, road, section, node, float(heading) + axis, leaves, left, 1.625 if left else 0.0)
         )
     return ramps
 

@@ -1,4 +1,4 @@
-"""Runs netconvert on a plan and leaves a file that depends on the plan alone."""
+"""Run netconvert on a plan, and write a file that depends only on the plan."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ OPTIONS: tuple[str, ...] = (
 
 
 def build(plan: Plan, target: Path) -> str:
-    """Convert a plan to `target` (.net.xml), in two passes so that turns can be rounded; returns warnings.
+    """Convert a plan to `target` (.net.xml) in two passes, so that turns can be rounded; return the warnings.
 
     Raises:
-        subprocess.CalledProcessError: netconvert refused the plan.
+        subprocess.CalledProcessError: netconvert failed.
     """
     with tempfile.TemporaryDirectory() as name:
         raw = Path(name) / "raw.net.xml"

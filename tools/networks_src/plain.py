@@ -1,4 +1,4 @@
-"""Values of a road plan and their netconvert plain XML."""
+"""The parts of a road plan, and their plain XML for netconvert."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Node:
-    """A junction, a change of cross-section or a fringe point; metres, `kind` as netconvert spells it."""
+    """A junction, a change of cross-section or a fringe point; `kind` is netconvert's type."""
 
     name: str
     xy_m: tuple[float, float]
@@ -24,7 +24,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Edge:
-    """One carriageway; `shape_m` (N, 2) is its inner border when `spread` is "right", else its middle."""
+    """One carriageway; `shape_m` (N, 2) is its inner border if `spread` is "right", else its centre line."""
 
     name: str
     start: str
@@ -40,20 +40,20 @@ class Edge:
 
     @property
     def heading_in_rad(self) -> float:
-        """Direction of travel where the edge begins."""
+        """Heading at the beginning of the edge."""
         step = self.shape_m[1] - self.shape_m[0]
         return float(np.arctan2(step[1], step[0]))
 
     @property
     def heading_out_rad(self) -> float:
-        """Direction of travel where the edge ends."""
+        """Heading at the end of the edge."""
         step = self.shape_m[-1] - self.shape_m[-2]
         return float(np.arctan2(step[1], step[0]))
 
 
 @dataclass(frozen=True)
 class Link:
-    """A lane-to-lane connection across a node; its path (N, 2) and speed are netconvert's unless given."""
+    """A lane-to-lane connection across a node; None: netconvert chooses its path (N, 2) or speed."""
 
     source: str
     target: str
@@ -74,18 +74,18 @@ class Plan:
     links: list[Link] = field(default_factory=list)
 
     def add_node(self, node: Node) -> None:
-        """Add a node; a second one of the same name must equal the first."""
+        """Add a node; if the name exists already, the nodes must be equal."""
         if self.nodes.setdefault(node.name, node) != node:
             raise ValueError(f"node {node.name} is defined twice and differently")
 
     def add_edge(self, edge: Edge) -> None:
-        """Add an edge under a new name."""
+        """Add an edge; its name must be new."""
         if edge.name in self.edges:
             raise ValueError(f"edge {edge.name} is defined twice")
         self.edges[edge.name] = edge
 
     def write(self, folder: Path) -> dict[str, Path]:
-        """Write nodes, edges and connections; returns netconvert option → file."""
+        """Write nodes, edges and connections; return netconvert option → file."""
         tables = {
             "node": ("nodes", [_node_row(n) for n in self.nodes.values()]),
             "edge": ("edges", [_edge_row(e) for e in self.edges.values()]),

@@ -1,4 +1,4 @@
-"""A single-lane roundabout with separate, deflected entries and exits."""
+"""Lay a single-lane roundabout with separate, deflected entries and exits."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Roundabout:
     speed_mps: float = 8.33
     approach_mps: float = 11.11
     width_m: float = 3.5
-    flare_m: float = 22.0  # length over which an arm's two lanes part
+    flare_m: float = 22.0  # length over which the two lanes of an arm separate
 
 
 def lay_roundabout(plan: Plan, ring: Roundabout, arms: Sequence[str]) -> None:
-    """Add circle, entries and exits to the plan; `arms` names the nodes, already there, where two-way arms begin."""
+    """Add circle, entries and exits to the plan; `arms` are the existing nodes at which two-way arms begin."""
     turn = -1.0 if plan.lefthand else 1.0
     bearings = {arm: _bearing(ring, plan.nodes[arm].xy_m) for arm in arms}
     corners: list[tuple[str, float]] = []
@@ -54,13 +54,13 @@ def _lay_arm(plan: Plan, ring: Roundabout, arm: str, bearing: float, turn: float
     outward = np.array([math.cos(bearing), math.sin(bearing)])
     entry_side = np.array([-outward[1], outward[0]]) * turn * ring.width_m / 2
     far, near = np.array(plan.nodes[arm].xy_m), ring.centre_m + outward * (ring.radius_m + ring.flare_m)
-    inn, out = f"{ring.name}_{arm}_in", f"{ring.name}_{arm}_out"
+    node_in, node_out = f"{ring.name}_{arm}_in", f"{ring.name}_{arm}_out"
     slant = turn * (math.pi / 2 + ring.gap_rad + ring.deflection_rad)
-    entry = hermite(near + entry_side, bearing + math.pi, plan.nodes[inn].xy_m, bearing + slant)
-    leave = hermite(plan.nodes[out].xy_m, bearing + turn * math.pi - slant, near - entry_side, bearing)
+    entry = hermite(near + entry_side, bearing + math.pi, plan.nodes[node_in].xy_m, bearing + slant)
+    leave = hermite(plan.nodes[node_out].xy_m, bearing + turn * math.pi - slant, near - entry_side, bearing)
     entry, leave = np.vstack([far + entry_side, entry]), np.vstack([leave, far - entry_side])
-    plan.add_edge(_edge(ring, arm, inn, ring.approach_mps, 4, entry))
-    plan.add_edge(_edge(ring, out, arm, ring.approach_mps, 4, leave))
+    plan.add_edge(_edge(ring, arm, node_in, ring.approach_mps, 4, entry))
+    plan.add_edge(_edge(ring, node_out, arm, ring.approach_mps, 4, leave))
 
 
 def _edge(ring: Roundabout, start: str, end: str, speed_mps: float, priority: int, shape: Points) -> Edge:

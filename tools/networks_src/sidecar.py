@@ -1,4 +1,4 @@
-"""Drivable area, footways and crossings of a net as a SUMO additional file (NAME.poly.xml)."""
+"""Write the drivable area and the footways of a net as a SUMO additional file (NAME.poly.xml)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from shapely.geometry.base import BaseGeometry
 from networks_src.curve import normals
 from networks_src.tapers import tapers
 
-KERB_M = 0.35
-SHOULDER_M = 2.5
-RAMP_MPS, MOTORWAY_MPS = 16.0, 25.0
-ISLAND_M2 = 1500.0
+KERB_M = 0.35  # paved margin beside lanes
+SHOULDER_M = 2.5  # the same on a motorway
+RAMP_MPS, MOTORWAY_MPS = 16.0, 25.0  # least speed limits
+ISLAND_M2 = 1500.0  # smaller holes are islands, without footways
 FILLET_M = 1.0
-HOLE_M2 = 3.0
+HOLE_M2 = 3.0  # smaller holes are left out
 TOLERANCE_M = 0.02
-GRID_M = 0.01  # the files' last decimal: rounding must not make a polygon cross itself
+GRID_M = 0.01  # last decimal of the files, so that rounding cannot make a polygon cross itself
 COLOURS = {
     "drivable_area": ("190,190,190", "-3"),
     "drivable_area_hole": ("225,235,220", "-2"),
@@ -32,11 +32,11 @@ COLOURS = {
 
 
 def drivable_area(net: Any, fillet_m: float = FILLET_M) -> MultiPolygon:
-    """The paved area: lanes and junctions with kerb margins or shoulders, concave corners rounded.
+    """Return the paved area: lanes and junctions with kerb margins or shoulders, and rounded concave corners.
 
     Args:
         net: sumolib net, read with internal lanes.
-        fillet_m: radius of concave corners; clefts narrower than twice this are closed (tapers, gores).
+        fillet_m: radius of concave corners; gaps narrower than twice this are closed (tapers, gores).
     """
     paved = shapely.union_all([*_lane_areas(net), *_junction_areas(net), *tapers(net, _node_margin_m)])
     closed = paved.buffer(fillet_m, quad_segs=6).buffer(-fillet_m, quad_segs=6)
@@ -44,7 +44,7 @@ def drivable_area(net: Any, fillet_m: float = FILLET_M) -> MultiPolygon:
 
 
 def walkways(net: Any, area: MultiPolygon, width_m: float) -> list[Polygon]:
-    """Footways along every kerb but those of medians and islands, as simple polygons without holes."""
+    """Return footways along all kerbs except those of medians and islands, as simple polygons without holes."""
     islands = [h for part in area.geoms for h in part.interiors if Polygon(h).area < ISLAND_M2]
     closed = area.buffer(width_m).buffer(-width_m)  # medians
     area = _parts(shapely.union_all([area, closed, *(Polygon(h) for h in islands)]))
@@ -55,7 +55,7 @@ def walkways(net: Any, area: MultiPolygon, width_m: float) -> list[Polygon]:
 
 
 def write(net_file: Path, target: Path, name: str, footway_m: float) -> None:
-    """Write the side-car of a net file."""
+    """Write the side-car of a net file to `target`; `footway_m` 0: without footways."""
     net = sumolib.net.readNet(str(net_file), withInternal=True)
     area = drivable_area(net)
     rows: list[tuple[str, Polygon]] = []
@@ -86,7 +86,7 @@ def _lane_areas(net: Any) -> list[BaseGeometry]:
 def _band(
     shape: Sequence[tuple[float, float]], half_m: float, margins_m: tuple[float, float]
 ) -> BaseGeometry:
-    """A lane's surface with margins that change evenly from its beginning to its end."""
+    """Return a lane's surface with margins that change linearly from its beginning to its end."""
     first, last = margins_m
     lane = LineString(shape)
     even = lane.buffer(half_m + min(margins_m), cap_style="flat", join_style="mitre")
@@ -99,7 +99,7 @@ def _band(
 
 
 def _margins_m(lane: Any) -> tuple[float, float]:
-    """Margin at the beginning and the end of a lane; a ramp's shoulder fades towards the surface road."""
+    """Return the margins at the beginning and the end of a lane; the shoulder of a ramp ends at the surface road."""
     if lane.getSpeed() < RAMP_MPS:
         return KERB_M, KERB_M
     first, last = (_node_margin_m(n) for n in (lane.getEdge().getFromNode(), lane.getEdge().getToNode()))
@@ -117,14 +117,14 @@ def _junction_areas(net: Any) -> list[BaseGeometry]:
 
 
 def _beyond_fringe(net: Any) -> list[BaseGeometry]:
-    """Boxes on the far side of each fringe point, where no footway is laid round the end of a street."""
+    """Return boxes beyond each fringe point, so that no footway leads around the end of a street."""
     boxes: list[BaseGeometry] = []
     for edge in net.getEdges(withInternal=False):
         points = np.asarray(edge.getShape())
         for node, end, before in ((edge.getToNode(), -1, -2), (edge.getFromNode(), 0, 1)):
             if node.getType() == "dead_end":
-                out = points[end] - points[before]
-                ray = LineString([points[end], points[end] + 10.0 * out / np.hypot(*out)])
+                outward = points[end] - points[before]
+                ray = LineString([points[end], points[end] + 10.0 * outward / np.hypot(*outward)])
                 boxes.append(ray.buffer(15.0, cap_style="flat"))
     return boxes
 
@@ -141,7 +141,7 @@ def _bounds(polygon: Polygon) -> tuple[float, float, float, float]:
 
 
 def _without_holes(polygon: Polygon) -> list[Polygon]:
-    """Cut a polygon through its holes, north to south, until no piece has one."""
+    """Return pieces of a polygon, cut north to south through its holes until no piece has one."""
     if not polygon.interiors:
         return [polygon] if polygon.area > HOLE_M2 else []
     x = polygon.interiors[0].centroid.x

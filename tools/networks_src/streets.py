@@ -1,4 +1,4 @@
-"""From a table of streets to carriageways with medians, turn pockets and lane drops."""
+"""Lay streets of a table as carriageways with medians, turn pockets and lane drops."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from networks_src.plain import Edge, Node, Plan
 
 @dataclass(frozen=True)
 class Street:
-    """A street through named nodes and free points, with its lanes along (`ahead`) and against (`back`).
+    """A street through named nodes and free points.
 
     Attributes:
         name: name shown on the map.
         course: node names, or (x, y) points in metres that only shape the curve.
-        ahead: lanes in the order of the course, 0 for none.
-        back: lanes against it, 0 for none.
-        speed_mps: limit.
-        priority: netconvert edge priority.
-        median_m: width of the strip between the carriageways; 0 for a line of paint.
-        pocket_m: length of far-turn pockets cut into the median where a node is in `pockets`.
+        ahead: number of lanes in the direction of the course; 0: none.
+        back: number of lanes in the opposite direction; 0: none.
+        speed_mps: speed limit.
+        priority: netconvert's edge priority.
+        median_m: width of the strip between the carriageways; 0: a painted line.
+        pocket_m: length of the far-turn pockets, which are cut into the median.
         pockets: (from node, to node) pairs whose approach has a pocket.
         changes: node → (ahead, back) lanes from that node on.
-        drops: (from node, to node) → (metres after the start, lanes from there): mid-block drops.
+        drops: (from node, to node) → (metres after the start, lanes from there on), for lane drops within a block.
         width_m: lane width.
     """
 
@@ -69,13 +69,14 @@ def _lay_block(
     stations: tuple[float, float],
     lanes: int,
 ) -> None:
-    way = 1.0 if stations[1] > stations[0] else -1.0
-    cuts: list[tuple[float, int, bool]] = [(stations[0], lanes, False)]
+    """Add the edges of one direction between two nodes, `ends`, at arc lengths `stations` of the curve."""
+    direction = 1.0 if stations[1] > stations[0] else -1.0
+    cuts: list[tuple[float, int, bool]] = [(stations[0], lanes, False)]  # station, lanes, pocket
     if ends in street.drops:
-        after, fewer = street.drops[ends]
-        cuts.append((stations[0] + way * after, fewer, False))
+        after_m, lanes_left = street.drops[ends]
+        cuts.append((stations[0] + direction * after_m, lanes_left, False))
     if ends in street.pockets:
-        cuts.append((stations[1] - way * street.pocket_m, cuts[-1][1] + 1, True))
+        cuts.append((stations[1] - direction * street.pocket_m, cuts[-1][1] + 1, True))
     bounds = [*(c[0] for c in cuts), stations[1]]
     names = [ends[0], *(f"{ends[0]}_{ends[1]}_{i}" for i in range(1, len(cuts))), ends[1]]
     for i, (station, count, pocket) in enumerate(cuts):
@@ -83,8 +84,8 @@ def _lay_block(
             x, y = curve.at(station)[0]
             plan.add_node(Node(names[i], (float(x), float(y)), radius_m=0.5))
         inner = -street.median_m / 2 if pocket else street.median_m / 2
-        side = -way if not plan.lefthand else way
-        both = street.ahead and street.back
+        side = -direction if not plan.lefthand else direction
+        is_two_way = street.ahead and street.back
         plan.add_edge(
             Edge(
                 name=f"{ends[0]}-{ends[1]}" + (f".{i}" if i else ""),
@@ -94,8 +95,8 @@ def _lay_block(
                 lanes=count,
                 speed_mps=street.speed_mps,
                 priority=street.priority,
-                shape_m=curve.piece(station, bounds[i + 1], side * inner if both else 0.0),
-                spread="right" if both else "center",
+                shape_m=curve.piece(station, bounds[i + 1], side * inner if is_two_way else 0.0),
+                spread="right" if is_two_way else "center",
                 width_m=street.width_m,
                 pocket=pocket,
             )

@@ -1,4 +1,4 @@
-"""Which lane may turn where: one rule for every junction of a plan."""
+"""Connect lanes at junctions: one rule for every junction of a plan."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ U_TURN_RAD = math.radians(150.0)
 
 
 def connect(plan: Plan, skip: frozenset[str] = frozenset()) -> None:
-    """Fill `plan.links` for every node at which edges meet, but for the nodes in `skip`.
+    """Add the links of every node except those in `skip`.
 
-    Kerb lane 0 serves the near turn (right, in left-hand traffic left), the innermost lane the far
-    turn, a pocket the far turn alone; lanes that go on meet their counterparts from the median out,
-    so that a kerb lane without a counterpart becomes a turn lane or ends.
+    The near turn (right; in left-hand traffic left) uses kerb lane 0. The far turn uses the innermost lane; a pocket is
+    for the far turn only. Through lanes are connected to their counterparts, counted from the median outwards, so that
+    a kerb lane without a counterpart becomes a turn lane or ends.
     """
     for node in (n for n in plan.nodes if n not in skip):
         incoming = [e for e in plan.edges.values() if e.end == node]
@@ -32,12 +32,12 @@ def connect(plan: Plan, skip: frozenset[str] = frozenset()) -> None:
 
 
 def _exits(plan: Plan, edge: Edge, outgoing: list[Edge]) -> dict[str, Edge]:
-    """The at most three ways on from an edge; of two nearly straight ones the straighter is straight."""
+    """Return turn → edge, at most three; of two nearly straight edges, the straighter one counts as straight."""
     exits: dict[str, Edge] = {}
-    ways = [(math.remainder(out.heading_in_rad - edge.heading_out_rad, math.tau), out) for out in outgoing]
-    for change, out in sorted(ways, key=lambda way: abs(way[0])):
-        back = out.end == edge.start and out.street == edge.street
-        if back or abs(change) > U_TURN_RAD:
+    turns = [(math.remainder(out.heading_in_rad - edge.heading_out_rad, math.tau), out) for out in outgoing]
+    for change, out in sorted(turns, key=lambda turn: abs(turn[0])):
+        leads_back = out.end == edge.start and out.street == edge.street
+        if leads_back or abs(change) > U_TURN_RAD:
             continue
         side = "far" if (change > 0) != plan.lefthand else "near"
         turn = "straight" if abs(change) <= STRAIGHT_RAD and "straight" not in exits else side
@@ -48,16 +48,17 @@ def _exits(plan: Plan, edge: Edge, outgoing: list[Edge]) -> dict[str, Edge]:
 
 
 def _lanes(edge: Edge, turn: str, exits: dict[str, Edge]) -> Iterator[tuple[int, int]]:
-    there = exits[turn].lanes
+    """Return the (from lane, to lane) pairs of a turn."""
+    lanes = exits[turn].lanes
     if len(exits) == 1:
-        if edge.lanes < there:
+        if edge.lanes < lanes:
             return iter([(i, i) for i in range(edge.lanes)])
-        return ((edge.lanes - 1 - i, there - 1 - i) for i in range(min(edge.lanes, there)))
+        return ((edge.lanes - 1 - i, lanes - 1 - i) for i in range(min(edge.lanes, lanes)))
     if turn == "near":
         return iter([(0, 0)])
     if turn == "far":
-        return iter([(edge.lanes - 1, there - 1)])
+        return iter([(edge.lanes - 1, lanes - 1)])
     through = edge.lanes - int(edge.pocket)
-    if through > there and "near" not in exits:
-        return ((i, i) for i in range(there))
-    return ((through - 1 - i, there - 1 - i) for i in range(min(through, there)))
+    if through > lanes and "near" not in exits:
+        return ((i, i) for i in range(lanes))
+    return ((through - 1 - i, lanes - 1 - i) for i in range(min(through, lanes)))

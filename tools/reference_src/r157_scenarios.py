@@ -1,8 +1,8 @@
-"""The three scenarios of UN Regulation No. 157 in its tool's discrete worlds: does a reference driver collide?
+"""Simulate the three scenarios of UN Regulation No. 157 in discrete time, as in its tool, with a reference driver.
 
-A cut-in, a cut-out and a braking leader on a straight lane, each for arrays of N cases at once. The speed for an
-instant is decided from the states at the one before, and x[i + 1] = x[i] + v[i + 1] · 0.1 s. Mattas et al. 2022,
-doi:10.1016/j.aap.2022.106743, describe the scenarios.
+The scenarios are a cut-in, a cut-out and a braking lead vehicle on a straight lane, each for N cases at once. The speed
+at an instant is computed from the states at the previous one, and x[i + 1] = x[i] + v[i + 1] · 0.1 s. Mattas et al.
+2022, doi:10.1016/j.aap.2022.106743, describe the scenarios.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ STEP_S = 0.1
 STEPS = 350
 LENGTH_M, WIDTH_M = 4.3, 1.9
 LANE_M = 3.5
-#: The ego can see past a leader that has moved sideways by this.
+#: Lateral offset of the lead vehicle from which on the ego sees what is ahead of it.
 PERCEIVED_M = 0.375
-_RAMP_MPS = 0.15  # a step of the sideways ramp, 1.5 m/s² for 0.1 s
+_RAMP_MPS = 0.15  # change of the lateral speed in a step: 1.5 m/s² for 0.1 s
 
 
 @dataclass
 class _Ego:
-    """N egos along their lane: places, speeds, accelerations, and who drives them."""
+    """N ego vehicles on their lane: positions, speeds, accelerations, driver model and state of its reaction."""
 
     model: DriverModel
     x_m: FloatArray
@@ -50,13 +50,13 @@ class _Ego:
     def facing(
         self, x_m: FloatArray, speed_mps: FloatArray, lateral_gap_m: FloatArray, lateral_mps: FloatArray
     ) -> Situation:
-        """Return the situation with others (N,) whose centres are at *x_m*."""
+        """Return the situation with one other vehicle (N,) for each ego, whose centre is at *x_m*."""
         lengths = np.full(x_m.shape, 2.0 * LENGTH_M)
         gap = x_m - self.x_m - LENGTH_M
         return Situation(self.speed_mps, self.accel_mps2, speed_mps, gap, lateral_gap_m, lateral_mps, lengths)
 
     def step(self, demand_mps2: FloatArray, live: BoolArray) -> None:
-        """Drive on by one instant where *live*."""
+        """Advance the egos for which *live* is set by one step."""
         self.reaction, accel = react(self.reaction, self.model, np.where(live, demand_mps2, 0.0), STEP_S)
         speed = np.maximum(self.speed_mps + accel * STEP_S, 0.0)
         self.accel_mps2 = (speed - self.speed_mps) / STEP_S
@@ -67,14 +67,14 @@ class _Ego:
 def cut_in(
     model: DriverModel, ego_mps: FloatArray, other_mps: FloatArray, gap_m: FloatArray, lateral_mps: FloatArray
 ) -> BoolArray:
-    """Return (N,) whether *model* collides with a vehicle that comes over from the next lane.
+    """Return (N,) whether *model* collides with a vehicle that cuts in from the next lane.
 
     Args:
-        model: who drives the ego.
-        ego_mps: (N,) its speed.
-        other_mps: (N,) the other's speed.
-        gap_m: (N,) bumper gap at the instant at which the other has reached its lateral speed.
-        lateral_mps: (N,) that speed, kept until it is over; it grew by 1.5 m/s² before.
+        model: driver of the ego.
+        ego_mps: (N,) speed of the ego.
+        other_mps: (N,) speed of the other vehicle.
+        gap_m: (N,) bumper gap at the instant at which the other vehicle reaches its lateral speed.
+        lateral_mps: (N,) lateral speed, constant until the lane change is complete; before, it grows by 1.5 m/s².
     """
     ramp = np.where(lateral_mps > 0.0, np.ceil(lateral_mps / _RAMP_MPS), 0)
     moving = np.where(lateral_mps > 0.0, lateral_mps, 1.0)
@@ -93,7 +93,7 @@ def cut_in(
         live, w = np.asarray(instant >= -ramp), lateral(instant)
         met = ego.facing(x, other_mps, np.abs(y) - WIDTH_M, w)
         demand = model.demand(met)
-        if model is HUMAN:  # uncritical at the instant of entering: the case is closed
+        if model is HUMAN:  # if uncritical at the instant of entering the lane, the case is no collision
             inside = live & (met.lateral_gap_m <= TIE_M)
             closed |= inside & ~entered & (met.ttc_s > CRITICAL_TTC_S)
             entered |= inside
@@ -107,13 +107,13 @@ def cut_in(
 def cut_out(
     model: DriverModel, speed_mps: FloatArray, front_gap_m: FloatArray, lateral_mps: FloatArray
 ) -> BoolArray:
-    """Return (N,) whether *model* collides with what its leader evades, or with a leader that does not.
+    """Return (N,) whether *model* collides with a standing vehicle, or with a lead vehicle that has hit it.
 
     Args:
-        model: who drives the ego.
-        speed_mps: (N,) speed of ego and leader, which it follows at its own gap.
-        front_gap_m: (N,) bumper gap from the leader to a standing vehicle.
-        lateral_mps: (N,) speed at which the leader moves sideways. One that hits the standing vehicle stops.
+        model: driver of the ego.
+        speed_mps: (N,) speed of the ego and the lead vehicle, which it follows at its own gap.
+        front_gap_m: (N,) bumper gap from the lead vehicle to the standing vehicle.
+        lateral_mps: (N,) lateral speed of the lead vehicle; if it hits the standing vehicle, it stops.
     """
     count = len(speed_mps)
     leader = following_gap_m(model, speed_mps) + LENGTH_M
@@ -138,12 +138,12 @@ def cut_out(
 def car_following(
     model: DriverModel, speed_mps: FloatArray, decel_g: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Return (N,) whether *model* runs into a leader that brakes to a stop, and (N,) the impact speeds in m/s.
+    """Return (N,) whether *model* runs into a lead vehicle that brakes to a stop, and (N,) the impact speeds in m/s.
 
     Args:
-        model: who drives the ego, at its own gap behind the leader.
-        speed_mps: (N,) speed of both.
-        decel_g: (N,) the leader's deceleration in g.
+        model: driver of the ego, which follows at its own gap.
+        speed_mps: (N,) initial speed of both vehicles.
+        decel_g: (N,) deceleration of the lead vehicle in g.
     """
     count = len(speed_mps)
     leader, pace = following_gap_m(model, speed_mps) + LENGTH_M, speed_mps.copy()

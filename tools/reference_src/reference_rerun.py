@@ -1,7 +1,7 @@
-"""Drives an episode again with the careful driver in the target's place, while the others really react.
+"""Repeat an episode with the careful driver in the target's place, while the others react.
 
-A verdict lets the others move as recorded. Here the same episode is run again, from the same state with the same
-seed, the target's own planner drives up to the takeover, and the others answer to what the careful driver does.
+For a verdict, the others move as recorded. Here, the same episode is run again with the same seed. The target's own
+planner drives up to the takeover, then the careful driver, and the others react to it.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanne
 from advdiff_sumo.planners.reference import CarefulPlanner
 from advdiff_sumo.sim.episode import Episode
 
-_SAME_PLACE_M = 1e-6
+_POSITION_TOLERANCE_M = 1e-6
 _PLANNED_STEPS = 20
 
 
 class Driver(StrEnum):
-    """Who drives from the takeover on."""
+    """Drivers that can take over."""
 
     CAREFUL = "careful"
-    """The target ``careful``, which sees what the others do now, and drives as the lane-graph planner otherwise."""
+    """The target ``careful``, which responds to what the others do now, and otherwise drives as ``lane_graph``."""
     SAME = "same"
-    """The verdict's reference drive, as it is: all that differs is that the others react."""
+    """The unchanged reference drive of the verdict, so that the only difference is that the others react."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class HandoverMemory:
     """Memory of :class:`HandedOver`.
 
     Attributes:
-        first: of the first planner.
-        second: of the second one; None before it drives.
+        first: memory of the first planner.
+        second: memory of the second planner; None before it drives.
     """
 
     first: Any
@@ -51,63 +51,63 @@ class HandoverMemory:
 
 
 class HandedOver:
-    """A planner that another one takes over from at an instant; both keep the contract of planners.
+    """A planner that consists of two planners, of which the second one takes over.
 
     Args:
-        first: drives at first.
+        first: drives before the takeover.
         second: drives from *takeover_s* on, as if the episode began there.
-        takeover_s: since the episode's start.
+        takeover_s: time since the start of the episode.
     """
 
     def __init__(self, first: Planner, second: Planner, takeover_s: float) -> None:
         self.first, self.second, self.takeover_s = first, second, takeover_s
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> HandoverMemory:
-        """Return the memory of an episode that begins."""
+        """Return the memory of a new episode."""
         return HandoverMemory(self.first.start(road, scene, rng))
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: HandoverMemory, rng: np.random.Generator
     ) -> tuple[Plan, HandoverMemory]:
-        """Return the plan of whoever drives now."""
+        """Return the plan of the planner that drives now."""
         if scene.time_s < self.takeover_s - 1e-6:
             plan, first = self.first.plan(road, scene, memory.first, rng)
             return plan, HandoverMemory(first)
-        begun = memory.second if memory.second is not None else self.second.start(road, scene, rng)
-        plan, second = self.second.plan(road, scene, begun, rng)
+        before = memory.second if memory.second is not None else self.second.start(road, scene, rng)
+        plan, second = self.second.plan(road, scene, before, rng)
         return plan, HandoverMemory(memory.first, second)
 
 
 class ServedHandedOver(HandedOver):
-    """The same where something outside this process stands behind the first planner, which is told of the end."""
+    """A :class:`HandedOver` whose first planner runs outside this process and is informed of the episode's end."""
 
     first: ServedPlanner
 
     def check(self) -> None:
-        """Look whether the first planner can be used; raises InputError where not."""
+        """Check that the first planner can be used; raise InputError if not."""
         self.first.check()
 
     def end(self, memory: HandoverMemory, end: str, time_s: float, failure: str) -> None:
-        """Tell the first planner that the episode is over."""
+        """Inform the first planner that the episode has ended."""
         self.first.end(memory.first, end, time_s, failure)
 
     def close(self) -> None:
-        """Let the first planner let go of what it holds."""
+        """Release the resources of the first planner."""
         self.first.close()
 
 
 def handed_over(first: Planner, second: Planner, takeover_s: float) -> HandedOver:
-    """Return *first*, which *second* takes over from at *takeover_s*."""
+    """Return a planner that drives by *first*, and from *takeover_s* on by *second*."""
     kind = ServedHandedOver if isinstance(first, Served) else HandedOver
     return kind(first, second, takeover_s)
 
 
 class SameDrive:
-    """Drives a recorded path on, and then a reference drive, whatever the others do.
+    """A planner that follows a recorded path and then a reference drive, independently of the others.
 
     Args:
-        record: whose target drives up to the takeover.
-        drive: from there on.
+        record: its target is followed up to the takeover.
+        drive: followed from the takeover on.
     """
 
     def __init__(self, record: EpisodeRecord, drive: ReferenceDrive) -> None:
@@ -118,31 +118,31 @@ class SameDrive:
         self.dt_s = tracks.dt_s
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
-        """Nothing to remember."""
+        """Return None, since there is nothing to remember."""
 
     def plan(
         self,
-        road: RoadMap,  # noqa: ARG002 - the contract's
+        road: RoadMap,  # noqa: ARG002 - required by the contract
         scene: Scene,
-        memory: None,  # noqa: ARG002 - the contract's
-        rng: np.random.Generator,  # noqa: ARG002 - the contract's
+        memory: None,  # noqa: ARG002 - required by the contract
+        rng: np.random.Generator,  # noqa: ARG002 - required by the contract
     ) -> tuple[Plan, None]:
-        """Return the next 2 s; at the end it stays where it is."""
-        ahead = round(scene.time_s / self.dt_s) + 1 + np.arange(_PLANNED_STEPS)
-        at = np.minimum(ahead, len(self.xy_m) - 1)
-        return Trajectory(self.xy_m[at], self.yaw_rad[at], self.speed_mps[at], self.dt_s), None
+        """Return the next 2 s; after its end the last state is repeated."""
+        steps = round(scene.time_s / self.dt_s) + 1 + np.arange(_PLANNED_STEPS)
+        steps = np.minimum(steps, len(self.xy_m) - 1)
+        return Trajectory(self.xy_m[steps], self.yaw_rad[steps], self.speed_mps[steps], self.dt_s), None
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """What the careful driver comes to against the same collision, twice.
+    """Whether the careful driver avoids a collision, with recorded and with reacting others.
 
     Attributes:
-        preventable: it avoids the collision while the others move as recorded: the verdict.
-        avoided: it does while they react.
-        takeover_s: when it takes over in the episode that was run again: at the target's plan before that of the
-            verdict.
-        run_into: in that episode a third ran into its rear, which is not held against it, as in the verdict.
+        preventable: whether it avoids the collision while the others move as recorded; this is the verdict.
+        avoided: whether it avoids the collision while the others react.
+        takeover_s: time of the takeover in the repeated episode: that of the last plan up to the verdict's takeover.
+        run_into: whether a third vehicle ran into its rear in the repeated episode; as in the verdict, this does not
+            count as a collision of the careful driver.
     """
 
     preventable: bool
@@ -152,19 +152,19 @@ class ClosedLoop:
 
 
 def close_loop(episode: Episode, record: EpisodeRecord, driver: Driver = Driver.CAREFUL) -> ClosedLoop | None:
-    """Run *episode*, which came to *record*, with a careful *driver* from the takeover of its verdict on.
+    """Repeat *episode*, whose record is *record*, with a careful *driver* from the takeover of its verdict on.
 
-    It lasts as long as the reference drive of the verdict: until that stands, or 3 s beyond the record. None where the
-    target did not collide with anybody, or the verdict has no reference drive.
+    The repetition is as long as the reference drive of the verdict. Return None if the target did not collide, or if
+    the verdict has no reference drive.
 
     Raises:
-        ConfigError: the target is no Python planner, or the episode does not repeat.
-        InputError: it cannot be run.
+        ConfigError: the target is not a Python planner, or the repetition differs from the record before the takeover.
+        InputError: the episode cannot be run.
     """
-    struck = target_collision(record, collisions(record))
-    if struck is None:
+    collision = target_collision(record, collisions(record))
+    if collision is None:
         return None
-    verdict = judge(record, episode.road, struck)
+    verdict = judge(record, episode.road, collision)
     if verdict.preventable is None:
         return None
     if not isinstance(episode.target, Planner):
@@ -175,21 +175,22 @@ def close_loop(episode: Episode, record: EpisodeRecord, driver: Driver = Driver.
     last = drive.takeover_step + len(drive.states.speed_mps) - 1
     careful = CarefulPlanner() if driver is Driver.CAREFUL else SameDrive(record, drive)
     target = handed_over(episode.target, careful, takeover * dt_s)
-    again, _ = replace(episode, target=target, horizon_s=last * dt_s).run()
-    if again.failure is not None:
-        raise ConfigError(f"the episode failed when run again: {again.failure.message}")
-    _must_repeat(record, again, takeover)
-    hit = target_collision(again, collisions(again))
-    run_into = hit is not None and _run_into(again, hit, record.tracks.ids[struck.rows[1]])
+    repetition, _ = replace(episode, target=target, horizon_s=last * dt_s).run()
+    if repetition.failure is not None:
+        raise ConfigError(f"the episode failed when run again: {repetition.failure.message}")
+    _must_repeat(record, repetition, takeover)
+    hit = target_collision(repetition, collisions(repetition))
+    run_into = hit is not None and _run_into(repetition, hit, record.tracks.ids[collision.rows[1]])
     return ClosedLoop(verdict.preventable, hit is None or run_into, takeover * dt_s, run_into)
 
 
 def _must_repeat(record: EpisodeRecord, again: EpisodeRecord, until: int) -> None:
+    """Raise ConfigError unless the target's path is the same up to the step *until*."""
     before, after = (x.tracks.xy_m[x.target, : until + 1] for x in (record, again))
-    if before.shape != after.shape or not np.allclose(before, after, rtol=0.0, atol=_SAME_PLACE_M):
+    if before.shape != after.shape or not np.allclose(before, after, rtol=0.0, atol=_POSITION_TOLERANCE_M):
         raise ConfigError("the episode does not repeat: another version, or a planner with a memory")
 
 
-def _run_into(again: EpisodeRecord, hit: Collision, partner: str) -> bool:
-    """Return whether a third came from behind."""
-    return again.tracks.ids[hit.rows[1]] != partner and hit.faces[0] == "rear"
+def _run_into(repetition: EpisodeRecord, hit: Collision, partner: str) -> bool:
+    """Return whether a vehicle other than *partner* ran into the target's rear."""
+    return repetition.tracks.ids[hit.rows[1]] != partner and hit.faces[0] == "rear"

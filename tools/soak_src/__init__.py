@@ -1,1 +1,1 @@
-"""Parts of soak.py: the places that it drives, and what it checks."""
+"""Parts of soak.py: its places and its checks."""

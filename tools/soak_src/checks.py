@@ -1,4 +1,4 @@
-"""What must hold of the states of any episode, looked at from outside: with shapely and plain differences."""
+"""Independent checks of the states of an episode, with shapely and finite differences."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from advdiff_sumo.core.frames import bumper_from_centre, wrap_angle
 from advdiff_sumo.maps import RoadMap
 from soak_src.lane_seams import carried_m
 
-#: Beyond what speed and step explain: of a position, of a speed in a step, and of a heading in a step.
+#: Largest changes in a step: of the position beyond what the speed explains, of the speed, and of the heading.
 JUMP_M, JUMP_MPS, JUMP_RAD = 0.8, 3.0, 0.35
-#: A bend of a lane's centre line turns a vehicle that SUMO drives at once, so its heading may change by this.
+#: Largest change of the heading of a vehicle driven by SUMO, which turns abruptly at bends of the lane's centre line.
 SUMO_JUMP_RAD = 1.6
-BESIDE_M, SEARCH_M, WIDER_STEPS = 0.3, 5.0, 20
-TOUCH_M2, TOUCH_M, TOUCH_STEPS = 1e-3, 0.6, 1
+BESIDE_M = 0.3  # tolerated distance of the front bumper from the nearest lane
+SEARCH_M = 5.0  # distance within which lanes are searched
+WIDER_STEPS = 20  # see `_lane_was_wider`
+TOUCH_M2 = 1e-3  # a larger overlap of boxes is a contact
+TOUCH_M, TOUCH_STEPS = 0.6, 1  # tolerances of recorded contacts: gap of the boxes, and time
 
 
 @dataclass(frozen=True)
@@ -28,16 +31,16 @@ class States:
     """The states of one episode; A agents, T steps.
 
     Attributes:
-        ids: A names.
+        ids: names of the A agents.
         target: row of the tested vehicle.
-        length_m, width_m: (A,) boxes.
+        length_m, width_m: (A,) sizes of the boxes.
         xy_m, yaw_rad, speed_mps: (A, T, 2), (A, T), (A, T); NaN where absent.
         by_sumo: (A, T) whether SUMO drove the agent.
-        sumo_course: (A, T) whether it moves as SUMO moved it, then or in the traffic that is replayed.
-        recorded: (A, T) whether it repeats a recording, of SUMO (which turns vehicles round on the spot) or of real
-            traffic (with the jitter of its annotation).
+        sumo_course: (A, T) whether SUMO determined its motion, now or in the traffic that is replayed.
+        recorded: (A, T) whether it repeats a recording of SUMO (which can turn vehicles on the spot) or of real traffic
+            (with jitter of the annotation).
         walks: (A,) whether it is a pedestrian.
-        step_s: spacing.
+        step_s: duration of a step.
     """
 
     ids: tuple[str, ...]
@@ -60,10 +63,10 @@ class States:
         """Return columns of ``states.parquet`` (NumPy arrays of one episode) as arrays over agents and steps.
 
         Args:
-            columns: by name.
-            step_s: spacing.
-            replay: the others do what they do in the seed scene.
-            log: the seed scene is one of a driving log, not of SUMO traffic.
+            columns: values by column name.
+            step_s: duration of a step.
+            replay: whether the others repeat the motion of the seed scene.
+            log: whether the seed scene comes from a driving log; else from SUMO traffic.
         """
         ids, row = np.unique(columns["agent"].astype(str), return_inverse=True)
         shape, step = (len(ids), int(columns["step"].max()) + 1), columns["step"]
@@ -98,78 +101,94 @@ class States:
 
 
 def problems(states: States, road: RoadMap, contacts: list[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield a sentence for everything that may not be.
+    """Yield a sentence for every fault in the states of an episode.
 
     Args:
         states: of the episode.
         road: its map.
         contacts: the episode's rows of ``collisions.parquet``.
     """
-    there = np.isfinite(states.yaw_rad)
-    holes = there & ~(np.isfinite(states.xy_m).all(-1) & np.isfinite(states.speed_mps))
-    if holes.any():
-        yield f"NaN in a state of '{states.ids[int(np.argwhere(holes)[0, 0])]}'"
+    is_present = np.isfinite(states.yaw_rad)
+    incomplete = is_present & ~(np.isfinite(states.xy_m).all(-1) & np.isfinite(states.speed_mps))
+    if incomplete.any():
+        yield f"NaN in a state of '{states.ids[int(np.argwhere(incomplete)[0, 0])]}'"
     yield from _jumps(states, road)
     yield from _off_lanes(states, road)
     yield from _contacts(states, contacts)
 
 
 def _jumps(states: States, road: RoadMap) -> Iterator[str]:
-    """Yield where somebody moves, speeds up or turns as nothing on wheels does.
+    """Yield a sentence for the first jump in position, speed or heading of a vehicle.
 
-    A vehicle of SUMO's may be carried as far as the lanes' drawing does that (:func:`carried_m`).
+    A vehicle driven by SUMO may jump as far as the geometry of its lanes explains it (:func:`carried_m`).
     """
     before, after = states.xy_m[:, :-1], states.xy_m[:, 1:]
-    way = np.hypot(*np.moveaxis(after - before, -1, 0))
+    moved_m = np.hypot(*np.moveaxis(after - before, -1, 0))
     fastest = np.fmax(np.abs(states.speed_mps[:, :-1]), np.abs(states.speed_mps[:, 1:]))
-    sumo = states.by_sumo[:, 1:] & states.by_sumo[:, :-1]
+    by_sumo = states.by_sumo[:, 1:] & states.by_sumo[:, :-1]
     turn = np.abs(wrap_angle(np.diff(states.yaw_rad, axis=1)))
-    # the centre of a vehicle swings about its front bumper where SUMO turns it, or did when it was recorded
-    drawn = states.by_sumo[:, 1:] | states.recorded[:, 1:]
-    swing = np.where(drawn, 0.5 * states.length_m[:, None] * turn, 0.0)
-    wheels = ~states.walks[:, None]
-    # a recording's speeds may leap as those of no car do, but must be those of its way
+    # SUMO turns a vehicle about its front bumper, so that its centre moves sideways; recordings of SUMO do the same
+    sumo_turns = states.by_sumo[:, 1:] | states.recorded[:, 1:]
+    swing_m = np.where(sumo_turns, 0.5 * states.length_m[:, None] * turn, 0.0)
+    is_vehicle = ~states.walks[:, None]
+    # recorded speeds may jump, but must agree with the distance travelled
     mean = 0.5 * (states.speed_mps[:, 1:] + states.speed_mps[:, :-1])
-    leap = np.abs(np.diff(states.speed_mps, axis=1))
-    off_its_way = np.maximum(np.abs(np.abs(mean) - way / states.step_s) - swing / states.step_s, 0.0)
-    handed = states.by_sumo[:, 1:] != states.by_sumo[:, :-1]  # by as much as SUMO drove otherwise this time
-    leap = np.where(states.recorded[:, 1:] & ~handed, off_its_way, leap)
-    most_rad = np.where(drawn, SUMO_JUMP_RAD, JUMP_RAD)
-    most_rad[sumo] = np.pi  # SUMO turns round within a step where its lanes do
+    speed_change = np.abs(np.diff(states.speed_mps, axis=1))
+    speed_error = np.maximum(np.abs(np.abs(mean) - moved_m / states.step_s) - swing_m / states.step_s, 0.0)
+    handed_over = (
+        states.by_sumo[:, 1:] != states.by_sumo[:, :-1]
+    )  # SUMO may have driven differently this time
+    speed_change = np.where(states.recorded[:, 1:] & ~handed_over, speed_error, speed_change)
+    most_rad = np.where(sumo_turns, SUMO_JUMP_RAD, JUMP_RAD)
+    most_rad[by_sumo] = np.pi  # SUMO turns a vehicle around within a step where its lanes do
     limits = (
-        ("position", way - fastest * states.step_s - swing, JUMP_M, "m"),
-        ("speed", leap, JUMP_MPS, "m/s"),
+        ("position", moved_m - fastest * states.step_s - swing_m, JUMP_M, "m"),
+        ("speed", speed_change, JUMP_MPS, "m/s"),
         ("heading", turn, most_rad, "rad"),
     )
-    for what, change, most, unit in limits:
-        wrong = np.argwhere((change > most) & wheels)  # NaN compares as False
-        if what != "heading":
-            slack_m = most if what == "position" else most * states.step_s
-            wrong = np.array(
-                [spot for spot in wrong.tolist() if not _carried(states, road, *spot, way, slack_m)]
+    for quantity, change, most, unit in limits:
+        jumps = np.argwhere((change > most) & is_vehicle)  # NaN compares as False
+        if quantity != "heading":
+            slack_m = most if quantity == "position" else most * states.step_s
+            jumps = np.array(
+                [jump for jump in jumps.tolist() if not _is_carried(states, road, *jump, moved_m, slack_m)]
             )
-        if len(wrong):
-            row, step = wrong[0].tolist()
-            yield f"jump in {what} of '{states.ids[row]}' by {change[row, step]:.2f} {unit} after step {step}"
+        if len(jumps):
+            row, step = jumps[0].tolist()
+            size = f"{change[row, step]:.2f} {unit}"
+            yield f"jump in {quantity} of '{states.ids[row]}' by {size} after step {step}"
 
 
-def _carried(states: States, road: RoadMap, row: int, step: int, way_m: FloatArray, slack_m: float) -> bool:
-    """Return whether SUMO's lanes explain, but for *slack_m*, that *row* comes *way_m* (A, T − 1) far after *step*."""
+def _is_carried(
+    states: States, road: RoadMap, row: int, step: int, moved_m: FloatArray, slack_m: float
+) -> bool:
+    """Return whether the geometry of SUMO's lanes explains how far *row* moves after *step*.
+
+    Args:
+        states: of the episode.
+        road: its map.
+        row: agent.
+        step: instant before the movement.
+        moved_m: (A, T − 1) distances moved in each step.
+        slack_m: tolerance.
+    """
     if not states.sumo_course[row, step : step + 2].all():
         return False
     speeds_mps = np.abs(states.speed_mps[row, step : step + 2])
-    if states.recorded[row, step + 1]:  # its speeds are those of its way, and 0 where SUMO carried it back
+    if states.recorded[
+        row, step + 1
+    ]:  # its speeds follow from its positions, and are 0 where SUMO moved it backwards
         speeds_mps = np.full(2, np.nanmax(np.abs(states.speed_mps[row, max(step - 2, 0) : step + 4])))
     if np.ptp(speeds_mps) > JUMP_MPS:
         return False
     bumper = bumper_from_centre(states.xy_m[row, step], states.yaw_rad[row, step], states.length_m[row])
     slowest_m, fastest_m = float(speeds_mps.min()) * states.step_s, float(speeds_mps.max()) * states.step_s
     least, most = carried_m(road, bumper, slowest_m)[0], carried_m(road, bumper, fastest_m)[1]
-    return bool(slowest_m + least - slack_m <= way_m[row, step] <= fastest_m + most + slack_m)
+    return bool(slowest_m + least - slack_m <= moved_m[row, step] <= fastest_m + most + slack_m)
 
 
 def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
-    """Yield who is driven by SUMO and has its front bumper on no lane."""
+    """Yield a sentence for the first vehicle that SUMO drives with its front bumper beside all lanes."""
     row, step = np.nonzero(states.by_sumo & ~states.walks[:, None])
     if not len(row):
         return
@@ -178,17 +197,18 @@ def _off_lanes(states: States, road: RoadMap) -> Iterator[str]:
     near = road.index.candidates(bumper, 0.5 * float(road.index.width_m.max()) + SEARCH_M)
     excess = np.full(len(row), np.inf)
     np.minimum.at(excess, near.point, np.abs(near.d_m) - 0.5 * road.index.width_m[near.lane])
-    wrong = [k for k in np.flatnonzero(excess > BESIDE_M) if not _from_wider(states, road, row[k], step[k])]
+    outside = np.flatnonzero(excess > BESIDE_M)
+    wrong = [k for k in outside if not _lane_was_wider(states, road, row[k], step[k])]
     if wrong:
         k = int(wrong[0])
-        beside = f"{excess[k]:.2f} m beside" if np.isfinite(excess[k]) else "far from"
-        yield f"'{states.ids[row[k]]}' is driven by SUMO {beside} all lanes at step {step[k]}"
+        distance = f"{excess[k]:.2f} m beside" if np.isfinite(excess[k]) else "far from"
+        yield f"'{states.ids[row[k]]}' is driven by SUMO {distance} all lanes at step {step[k]}"
 
 
-def _from_wider(states: States, road: RoadMap, row: int, step: int) -> bool:
-    """Return whether *row* is no farther aside than the lane reached on which it was shortly before *step*.
+def _lane_was_wider(states: States, road: RoadMap, row: int, step: int) -> bool:
+    """Return whether the lateral offset of *row* lies within a wider lane on which it was shortly before *step*.
 
-    With sublanes SUMO lets a vehicle keep its place across where its lane becomes narrower.
+    With sublanes, SUMO lets a vehicle keep its lateral offset if its lane becomes narrower.
     """
     since = max(step - WIDER_STEPS, 0)
     yaw, length_m = states.yaw_rad[row, since : step + 1], np.full(step + 1 - since, states.length_m[row])
@@ -199,7 +219,7 @@ def _from_wider(states: States, road: RoadMap, row: int, step: int) -> bool:
 
 
 def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield contacts of the target that the record lacks, and recorded ones that no boxes show."""
+    """Yield a sentence for each contact of the target that is not recorded, or is recorded although boxes are apart."""
     boxes = _boxes(states)
     steps = states.yaw_rad.shape[1]
     recorded = {
@@ -211,9 +231,9 @@ def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str
     for other, name in enumerate(states.ids):
         if other == states.target:
             continue
-        mine, theirs = boxes[states.target], boxes[other]
-        touch = np.flatnonzero(shapely.area(shapely.intersection(mine, theirs)) > TOUCH_M2)
-        first = int(touch[0]) if len(touch) else None
+        overlap_m2 = shapely.area(shapely.intersection(boxes[states.target], boxes[other]))
+        contact_steps = np.flatnonzero(overlap_m2 > TOUCH_M2)
+        first = int(contact_steps[0]) if len(contact_steps) else None
         if first is not None and name not in recorded:
             yield f"the boxes of target and '{name}' overlap at step {first}, which is not recorded"
         elif first is not None and abs(recorded[name] - first) > TOUCH_STEPS:
@@ -227,20 +247,20 @@ def _contacts(states: States, contacts: list[Mapping[str, Any]]) -> Iterator[str
 
 
 def _boxes(states: States) -> Any:
-    """Return (A, T) polygons; None where absent."""
+    """Return (A, T) the boxes as polygons; None where absent."""
     half = 0.5 * np.stack((states.length_m, states.width_m), axis=-1)
     corners = half[:, None, :] * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # (A, 4, 2)
     cos, sin = np.cos(states.yaw_rad), np.sin(states.yaw_rad)
     turn = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), -2)  # (A, T, 2, 2)
     ring = np.einsum("atij,akj->atki", turn, corners) + states.xy_m[:, :, None, :]
     boxes = np.full(states.yaw_rad.shape, None, dtype=object)
-    there = np.isfinite(ring).all((-1, -2))
-    boxes[there] = shapely.polygons(ring[there])
+    is_present = np.isfinite(ring).all((-1, -2))
+    boxes[is_present] = shapely.polygons(ring[is_present])
     return boxes
 
 
 def runs_of(episode: IntArray) -> Iterator[tuple[int, slice]]:
-    """Yield episode numbers with the rows that they have in a table that is sorted by them."""
+    """Yield (episode number, its rows) from the column of episode numbers of a sorted table."""
     starts = np.flatnonzero(np.diff(episode, prepend=-1))
     for start, stop in pairwise([*starts.tolist(), len(episode)]):
         yield int(episode[start]), slice(start, stop)

@@ -1,4 +1,4 @@
-"""Small maps in the format of OpenStreetMap, of our own making, and the nets that netconvert makes of them."""
+"""Small invented maps in the format of OpenStreetMap, and their conversion to nets by netconvert."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Point = tuple[float, float]
 _LAT_DEG, _LON_DEG = 52.5, 13.4
 _M_PER_DEG = 111_320.0
 _TYPES = ("osmNetconvert.typ.xml", "osmNetconvertUrbanDe.typ.xml", "osmNetconvertBicycle.typ.xml")
-#: What SUMO's own guide to OpenStreetMap data gives netconvert.
+#: Options of netconvert that SUMO's guide recommends for OpenStreetMap data.
 _OPTIONS = (
     *("--geometry.remove", "--roundabouts.guess", "--ramps.guess", "--junctions.join"),
     *("--tls.guess-signals", "--tls.discard-simple", "--tls.join", "--no-warnings"),
@@ -41,7 +41,7 @@ class OsmMap:
         self.ways.append((corners, {key.replace("_", ":"): value for key, value in tags.items()}))
 
     def xml(self) -> str:
-        """Return the map's file."""
+        """Return the map as XML."""
         lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<osm version="0.6">']
         scale = _M_PER_DEG * float(np.cos(np.radians(_LAT_DEG)))
         for (x, y), number in self.nodes.items():
@@ -58,7 +58,7 @@ def _tags(tags: Tags) -> str:
 
 
 def _one_way_grid() -> OsmMap:
-    """Four by four streets, every second one a one-way street, those along x alternating in direction."""
+    """Return a grid of four by four streets; along x, every second street is one-way, and directions alternate."""
     town = OsmMap()
     steps = [100.0 * k for k in range(4)]
     for k, c in enumerate(steps):
@@ -69,7 +69,7 @@ def _one_way_grid() -> OsmMap:
 
 
 def _roundabout() -> OsmMap:
-    """Four streets into a roundabout of 20 m radius."""
+    """Return a roundabout of 20 m radius with four streets."""
     town = OsmMap()
     angles = np.radians(np.arange(0.0, 361.0, 30.0))
     ring = [
@@ -84,7 +84,7 @@ def _roundabout() -> OsmMap:
 
 
 def _signals() -> OsmMap:
-    """An avenue of two lanes each way, with turning lanes, over three crossings with lights."""
+    """Return an avenue with two lanes in each direction, turning lanes, and three junctions with signals."""
     town = OsmMap()
     xs = [0.0, 150.0, 300.0, 450.0, 600.0]
     town.way(
@@ -101,7 +101,7 @@ def _signals() -> OsmMap:
 
 
 def _cycleways() -> OsmMap:
-    """Streets with lanes and ways for bicycles, a path on foot, and a street for buses and bicycles alone."""
+    """Return streets with bicycle lanes and paths, a footpath, and a street for buses and bicycles only."""
     town = OsmMap()
     town.way([(0, 0), (200, 0), (400, 0)], highway="secondary", cycleway_right="lane", sidewalk="both")
     town.way([(200, -150), (200, 0), (200, 150)], highway="residential", cycleway="track")
@@ -113,7 +113,7 @@ def _cycleways() -> OsmMap:
 
 
 def _rail() -> OsmMap:
-    """A railway with a level crossing, a tram in the street, and a motorway with a ramp beyond."""
+    """Return a railway with a level crossing, a street with a tram, and a motorway with a ramp."""
     town = OsmMap()
     town.way([(-200, 0), (0, 0), (200, 0), (400, 0)], highway="secondary", maxspeed="50")
     town.way([(0, -200), (0, 0), (0, 200)], railway="rail")
@@ -135,10 +135,10 @@ OSM_MAPS: Mapping[str, Callable[[], OsmMap]] = {
 
 
 def write_osm_net(name: str, net: Path) -> None:
-    """Convert the map *name* into *net*, its OpenStreetMap file beside it.
+    """Convert the map *name* into the file *net*; its OpenStreetMap file is written beside it.
 
     Raises:
-        subprocess.CalledProcessError: netconvert refuses it.
+        subprocess.CalledProcessError: netconvert failed.
     """
     source = net.with_name(f"{name}.osm.xml")
     source.write_text(OSM_MAPS[name]().xml(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Nets, demand and logs for the soak: shipped, out of OpenStreetMap files, in a data folder, converted, generated."""
+"""Nets, demand and logs for the soak: shipped, from OpenStreetMap files, from a data folder, converted, generated."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ LIGHTS = ("map", "guess")
 
 @dataclass(frozen=True)
 class Place:
-    """Where episodes start.
+    """A source of seed scenes.
 
     Attributes:
-        name: of the folder of results.
-        net: file, or name of a shipped one.
-        demand: route file; "" for generated traffic.
-        scenes: driving log; "" for traffic of SUMO.
-        problem: why there is no net; "" where there is one.
+        name: name of the results folder.
+        net: file, or name of a shipped net.
+        demand: route file; "": generated traffic.
+        scenes: driving log; "": SUMO traffic.
+        problem: why there is no net; "" if there is one.
     """
 
     name: str
@@ -40,13 +40,13 @@ class Place:
 
 
 def places(folder: Path, data: Path | None, seeds: int) -> Iterator[Place]:
-    """Yield all places; nets that must be made go to *folder* and are kept there.
+    """Yield all places.
 
     Args:
-        folder: for nets that are made.
-        data: folder with ``sumo``, ``nuscenes-mini``, ``commonroad``, ``scenarionet`` and ``argoverse2``, as far as
-            they are there; None to leave them out.
-        seeds: how many nets of each random kind.
+        folder: receives the nets that are made; existing ones are used.
+        data: folder that may contain ``sumo``, ``nuscenes-mini``, ``commonroad``, ``scenarionet`` and ``argoverse2``;
+            None: none of them.
+        seeds: number of nets of each random kind.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name in SHIPPED_NETS:

@@ -74,9 +74,8 @@ def sweep(
         plan = _plan(console, file, resumed, diverse)
         limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
-            _print_estimate(
-                console, plan, RemainingJobs.of(plan, resumed, limit, retry_failed), slots, limits
-            )
+            jobs = RemainingJobs.of(plan, resumed, limit, retry_failed)
+            _print_estimate(console, plan, jobs, slots, limits)
             return
         if junit is not None:
             check_junit(junit)

@@ -136,8 +136,7 @@ def convert_source(
     if source.projection is None:
         source = replace(source, projection=projection_of(source.location))
     given, source = source, repair(check_geometry(source))
-    if lefthand is None:
-        source = with_side_of_the_road(source)
+    source = with_side_of_the_road(source) if lefthand is None else source
     keeps_left = source.keeps_left if lefthand is None else lefthand
     tracks = measure_tracks(source, SPEED_MPS[keeps_left])
     layout = _make_layout(source, tracks, crossings)

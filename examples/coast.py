@@ -1,4 +1,4 @@
-"""A background policy to begin from: every vehicle that it may move keeps its speed and heading.
+"""A simple background policy as a starting point: every movable vehicle keeps its speed and heading.
 
 Run it::
 
@@ -19,34 +19,34 @@ STEP_S = 0.1
 
 
 class Coast:
-    """Every background vehicle keeps its speed and heading.
+    """A policy in which every background vehicle keeps its speed and heading.
 
     Args:
-        seconds: length of a plan.
+        seconds: duration of a plan.
     """
 
     def __init__(self, seconds: float = 1.0) -> None:
         self.steps = round(seconds / STEP_S)
 
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> None:
-        """Return the memory of a new episode: it needs none."""
+        """Return the memory of a new episode: None, since none is needed."""
         del road, scene, log, rng
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
     ) -> tuple[JointPlan, None]:
-        """Return everybody's future from now + 0.1 s on, every 0.1 s."""
+        """Return the future states of all movable vehicles, every 0.1 s from now + 0.1 s on."""
         del road, rng
         now = scene.history.rows(scene.movable).window(scene.history.steps - 1, scene.history.steps)
         ahead_s = STEP_S * np.arange(1, self.steps + 1)
         direction = np.stack((np.cos(now.yaw_rad), np.sin(now.yaw_rad)), axis=-1)
-        same = np.ones((now.agents, self.steps))
+        ones = np.ones((now.agents, self.steps))
         tracks = replace(
             now,
             xy_m=now.xy_m + (now.speed_mps * ahead_s)[..., None] * direction,
-            yaw_rad=now.yaw_rad * same,
-            speed_mps=now.speed_mps * same,
-            valid=now.valid & (same > 0),
+            yaw_rad=now.yaw_rad * ones,
+            speed_mps=now.speed_mps * ones,
+            valid=now.valid & (ones > 0),
             t0_s=scene.time_s + STEP_S,
             dt_s=STEP_S,
         )

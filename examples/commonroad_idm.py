@@ -1,8 +1,8 @@
-"""A planner that nobody here wrote, as a target: the CommonRoad IDM planner of the TU Munich.
+"""A planner by other authors as a target: the CommonRoad IDM planner of the TU Munich.
 
-The package plans speeds along a given path: the Intelligent Driver Model behind whoever enters that path first
-(Treiber, Hennecke and Helbing 2000, doi:10.1103/PhysRevE.62.1805). Here the path is the route's lane, the others are
-its dynamic obstacles, predicted to keep their velocity, and its speeds are driven by our bicycle::
+The package plans speeds along a given path with the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000,
+doi:10.1103/PhysRevE.62.1805); the lead vehicle is the one that enters the path first. Here, the path is the route's
+lane. The others are dynamic obstacles with constant velocity. Our bicycle model drives the planned speeds::
 
     pip install commonroad-idm-planner
     advdiff-sumo run --target examples.commonroad_idm:CommonRoadIdm
@@ -39,15 +39,16 @@ from advdiff_sumo.core.tracking import track
 from advdiff_sumo.maps import RoadMap
 
 STEP_S, STEPS = 0.1, 20
-_AHEAD_M, _SPACING_M, _HALF_WIDTH_M = 90.0, 0.5, 1.7
-_LATERAL_MPS2, _LOST_BRAKE_MPS2 = 2.0, 4.0
+_AHEAD_M, _SPACING_M, _HALF_WIDTH_M = 90.0, 0.5, 1.7  # of the path
+_LATERAL_MPS2 = 2.0  # comfortable lateral acceleration
+_NO_LANE_BRAKE_MPS2 = 4.0
 
 
 @dataclass(frozen=True)
 class CommonRoadIdm:
     """Drives along the route's lane at the speeds of ``commonroad_idm_planner``.
 
-    It knows neither signals nor the right of way, and does not change lanes: that is the planner's own scope.
+    The planner considers neither signals nor the right of way, and does not change lanes.
 
     Attributes:
         headway_s: desired time headway.
@@ -62,22 +63,22 @@ class CommonRoadIdm:
     jam_m: float = 2.0
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
-        """Keep the package's log quiet; nothing is remembered."""
+        """Silence the package's log; no memory is needed."""
         del road, scene, rng
         logging.getLogger("cr_idm").setLevel(logging.WARNING)
 
     def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
-        """Return 2 s of states at 0.1 s; a stop where the route's lane is not found."""
+        """Return states for 2 s, every 0.1 s; a stop if the route's lane is not found."""
         del rng
-        lane = _lane_ahead(road, scene)
-        if lane is None:
-            return Controls(np.full(STEPS, -_LOST_BRAKE_MPS2), np.zeros(STEPS), STEP_S), memory
-        line, limit_mps = lane
+        path = _path_ahead(road, scene)
+        if path is None:
+            return Controls(np.full(STEPS, -_NO_LANE_BRAKE_MPS2), np.zeros(STEPS), STEP_S), memory
+        line, limit_mps = path
         speed = self._speeds(scene, line, limit_mps)
-        return _driven(scene, line, speed), memory
+        return _tracked(scene, line, speed), memory
 
     def _speeds(self, scene: Scene, line: Polyline, limit_mps: float) -> FloatArray:
-        """Return the speeds (STEPS,) that the package plans."""
+        """Return the feasible speeds (STEPS,) that the package plans."""
         now, row = scene.history, scene.target
         config = IDMConfigFactory.generate_custom_config(
             v_desired=max(min(limit_mps, _bend_limit(line)), 1.0),
@@ -95,12 +96,12 @@ class CommonRoadIdm:
         path = IDMPathFactory.generate_idm_path_from_np_2d_positional_array(line.xy_m)
         planner = IDMPlanner(_scenario(now, row, line), _problem(now, row), config, path, logging.WARNING)
         states = planner.plan().state_list[1 : STEPS + 1]
-        wanted = np.array([float(state.velocity) for state in states])
-        return _feasible(wanted, max(float(now.speed_mps[row, -1]), 0.0))
+        planned = np.array([float(state.velocity) for state in states])
+        return _feasible(planned, max(float(now.speed_mps[row, -1]), 0.0))
 
 
-def _lane_ahead(road: RoadMap, scene: Scene) -> tuple[Polyline, float] | None:
-    """Return the line that the target would follow, and the speed limit now."""
+def _path_ahead(road: RoadMap, scene: Scene) -> tuple[Polyline, float] | None:
+    """Return the line that the target follows and the present speed limit; None if the route's lane is not found."""
     now, route = scene.history, scene.routes[scene.target]
     xy, yaw = now.xy_m[scene.target, -1], float(now.yaw_rad[scene.target, -1])
     pose = road.locate(xy, yaw, route=route or None)
@@ -113,7 +114,7 @@ def _lane_ahead(road: RoadMap, scene: Scene) -> tuple[Polyline, float] | None:
 
 
 def _scenario(now: Tracks, row: int, line: Polyline) -> Scenario:
-    """Return the others around *row*, each with its velocity kept, and the line as the only lanelet."""
+    """Return a scenario with the line as the only lanelet, and all others than *row* at constant velocity."""
     scenario = Scenario(dt=STEP_S)
     left, right = line.offset(_HALF_WIDTH_M).resample(count=len(line.xy_m)), line.offset(-_HALF_WIDTH_M)
     right = right.resample(count=len(line.xy_m))
@@ -137,7 +138,7 @@ def _obstacle(now: Tracks, row: int) -> DynamicObstacle:
 
 
 def _problem(now: Tracks, row: int) -> PlanningProblem:
-    """Return a problem whose goal is never reached: only the coming seconds matter."""
+    """Return a planning problem whose goal is never reached, since only the next seconds are planned."""
     xy, yaw = now.xy_m[row, -1], float(now.yaw_rad[row, -1])
     goal = GoalRegion([CustomState(time_step=Interval(10_000, 20_000))])
     return PlanningProblem(1, _initial(xy, yaw, max(float(now.speed_mps[row, -1]), 0.0)), goal)
@@ -156,24 +157,24 @@ def _initial(xy_m: FloatArray, yaw_rad: float, speed_mps: float) -> InitialState
 
 
 def _bend_limit(line: Polyline) -> float:
-    """Return the speed at which the sharpest bend within the next 25 m is comfortable."""
+    """Return the comfortable speed in the sharpest bend within the next 25 m."""
     near = np.abs(line.curvature_1pm[line.s_m < 25.0])
     return float(np.sqrt(_LATERAL_MPS2 / max(float(near.max(initial=0.0)), 1e-3)))
 
 
-def _feasible(wanted_mps: FloatArray, now_mps: float) -> FloatArray:
-    """Return *wanted_mps* (T,) within what a vehicle can do, T filled up with the last one."""
-    limits, out, before = Limits(), np.empty(STEPS), now_mps
+def _feasible(planned_mps: FloatArray, now_mps: float) -> FloatArray:
+    """Return *planned_mps* (T,) limited by a vehicle's accelerations, extended to STEPS with the last value."""
+    limits, speeds, before = Limits(), np.empty(STEPS), now_mps
     for k in range(STEPS):
-        goal = float(wanted_mps[min(k, len(wanted_mps) - 1)])
+        goal = float(planned_mps[min(k, len(planned_mps) - 1)])
         goal = goal if np.isfinite(goal) else 0.0
         low, high = before - limits.brake_mps2 * STEP_S, before + limits.accel_mps2 * STEP_S
-        before = out[k] = max(float(np.clip(goal, low, high)), 0.0)
-    return out
+        before = speeds[k] = max(float(np.clip(goal, low, high)), 0.0)
+    return speeds
 
 
-def _driven(scene: Scene, line: Polyline, speed_mps: FloatArray) -> Trajectory:
-    """Return what a bicycle makes of driving *line* at *speed_mps* (T,)."""
+def _tracked(scene: Scene, line: Polyline, speed_mps: FloatArray) -> Trajectory:
+    """Return the trajectory of a bicycle model that tracks *line* at *speed_mps* (T,)."""
     now, row = scene.history, scene.target
     start = max(float(now.speed_mps[row, -1]), 0.0)
     s = float(line.project(now.xy_m[row, -1])[0])

@@ -1,6 +1,6 @@
-"""A planner to begin from: pure pursuit along the route's lane, the Intelligent Driver Model behind whoever is ahead.
+"""A simple planner as a starting point: pure pursuit of the route's lane, and the Intelligent Driver Model (IDM).
 
-It heeds neither signals nor rights of way (IDM: Treiber, Hennecke and Helbing 2000, doi:10.1103/PhysRevE.62.1805)::
+It ignores signals and the right of way (IDM: Treiber, Hennecke and Helbing 2000, doi:10.1103/PhysRevE.62.1805)::
 
     advdiff-sumo run --target examples.follower:Follower
 """
@@ -18,11 +18,11 @@ from advdiff_sumo.maps import RoadMap
 STEPS, STEP_S = 10, 0.1
 LANE_HALF_WIDTH_M = 1.5
 WHEELBASE_SHARE = 0.6
-"""Wheelbase as a share of the length."""
+"""Wheelbase as a share of the vehicle's length."""
 
 
 class Follower:
-    """Follows the lane of its route, and whoever is ahead in it.
+    """Follows the lane of its route and the lead vehicle in it.
 
     Args:
         headway_s: desired time headway.
@@ -32,20 +32,20 @@ class Follower:
         self.headway_s = headway_s
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> None:
-        """Return the memory of a new episode: it needs none."""
+        """Return the memory of a new episode: None, since none is needed."""
         del road, scene, rng
 
     def plan(
         self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
     ) -> tuple[Controls, None]:
-        """Return a second of accelerations and steering angles."""
+        """Return accelerations and steering angles for one second."""
         del rng
         now, me, route = scene.history, scene.target, scene.routes[scene.target]
         xy_m, yaw_rad = now.xy_m[me, -1], float(now.yaw_rad[me, -1])
         speed_mps = max(float(now.speed_mps[me, -1]), 0.0)
         pose = road.locate(xy_m, yaw_rad, route=route or None)
         paths = road.lane_path(route, pose.lane_id, 100.0, start_s_m=pose.s_m) if pose and route else []
-        if not paths:  # off the lanes, or of its route: stop
+        if not paths:  # not on a lane, or not on the route: stop
             return _constant(-3.0, 0.0), memory
         x, y = local_from_world(paths[0].line.at(max(5.0, speed_mps))[0], xy_m, yaw_rad)
         curvature = 2.0 * y / max(x * x + y * y, 1.0)
@@ -58,20 +58,20 @@ class Follower:
 
 
 def leader(scene: Scene, line: Polyline) -> tuple[float, float]:
-    """Return the gap in m and the speed in m/s of whoever is next on *line*; those of its end for nobody."""
+    """Return the gap in m to the lead vehicle on *line* and its speed in m/s; without one, those of the line's end."""
     now, me = scene.history, scene.target
     length_m = float(now.size_m[me, 0])
     gap_m, lead_mps = line.length_m - 0.5 * length_m, 0.0
     for other in np.flatnonzero(now.valid[:, -1]):
         s_m, offset_m = line.project(now.xy_m[other, -1])
-        room_m = float(s_m) - 0.5 * (length_m + now.size_m[other, 0])
-        ahead = 0.0 < s_m < line.length_m and abs(offset_m) < LANE_HALF_WIDTH_M
-        if other != me and ahead and room_m < gap_m:
-            gap_m, lead_mps = room_m, max(float(now.speed_mps[other, -1]), 0.0)
+        other_gap_m = float(s_m) - 0.5 * (length_m + now.size_m[other, 0])
+        is_ahead = 0.0 < s_m < line.length_m and abs(offset_m) < LANE_HALF_WIDTH_M
+        if other != me and is_ahead and other_gap_m < gap_m:
+            gap_m, lead_mps = other_gap_m, max(float(now.speed_mps[other, -1]), 0.0)
     return gap_m, lead_mps
 
 
 def _constant(accel_mps2: float, steer_rad: float) -> Controls:
-    """Return a plan that holds both, within what a car can do."""
+    """Return a plan with constant acceleration and steering angle, limited to what a car can do."""
     accel, steer = np.clip(accel_mps2, -8.0, 1.5), np.clip(steer_rad, -0.6, 0.6)
     return Controls(np.full(STEPS, accel), np.full(STEPS, steer), STEP_S)

@@ -1,10 +1,10 @@
-"""Trains a planner against traffic: PPO of stable-baselines3 on ``advdiff_sumo/Target-v0``, in several processes.
+"""Train a planner against traffic: PPO of stable-baselines3 on ``advdiff_sumo/Target-v0``, in several processes.
 
 Usage: python examples/train_target.py [--steps 20000] [--workers 2] [--background sumo] [--net downtown]
        [--evaluate 40] [--out runs/train_target]
 
-Writes into its folder ``policy.zip``, ``episodes.csv`` (the return of each training episode), ``evaluation.csv`` (the
-trained policy and a random one from the same seeds) and ``curve.png``. The package needs its extra ``rl``.
+It writes ``policy.zip``, ``episodes.csv`` (the return of each training episode), ``evaluation.csv`` (the trained policy
+and a random one with the same seeds) and ``curve.png`` into its folder. The package needs its extra ``rl``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
 ENVIRONMENT = "advdiff_sumo.rl:advdiff_sumo/Target-v0"
 HORIZON_S, SCENES = 15.0, 16
-HELD_OUT_SEED = 1_000_000  # the seeds of training are drawn from 0 on
+HELD_OUT_SEED = 1_000_000  # first seed of evaluation; training uses other seeds
 ROLLOUT, WINDOW = 512, 50  # steps of all processes between two updates; episodes of the moving mean
 
 Act = Callable[[np.ndarray], np.ndarray]
 
 
 class EpisodeReturn(NamedTuple):
-    """One finished episode: environment steps made so far, sum of rewards, length in steps, and how it ended."""
+    """A finished episode: environment steps so far, sum of rewards, length in steps, and reason for its end."""
 
     step: int
     reward: float
@@ -41,7 +41,7 @@ class EpisodeReturn(NamedTuple):
 
 
 class Returns(BaseCallback):
-    """Keeps what every episode of training came to, and prints the mean at each update."""
+    """Stores the return of every training episode, and prints their mean at each update."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class Returns(BaseCallback):
 
 
 def make(net: str, background: str) -> Monitor[np.ndarray, np.ndarray]:
-    """Return one environment that keeps the return of each episode."""
+    """Return an environment that records the return of each episode."""
     environment = gymnasium.make(
         ENVIRONMENT, net=net, background=background, horizon_s=HORIZON_S, scenes=SCENES
     )
@@ -75,9 +75,9 @@ def make(net: str, background: str) -> Monitor[np.ndarray, np.ndarray]:
 def train(
     steps: int, workers: int, net: str, background: str, folder: Path
 ) -> tuple[PPO, list[EpisodeReturn]]:
-    """Train, save the policy, and return it with the episodes of training.
+    """Train, save the policy, and return it with the training episodes.
 
-    The first policy drives straight on at its speed, with noise. Rewards are scaled for the learner alone.
+    The initial policy keeps its speed and heading, with noise. Only the learner sees scaled rewards.
     """
     raw = SubprocVecEnv([lambda: make(net, background)] * workers, start_method="forkserver")
     envs = VecNormalize(raw, norm_obs=False, norm_reward=True, gamma=0.97)
@@ -102,14 +102,14 @@ def train(
 
 
 def evaluate(act: Act, episodes: int, net: str, background: str) -> list[EpisodeReturn]:
-    """Return what *act* comes to in episodes of seeds that training did not see."""
+    """Return the results of *act* in episodes with held-out seeds."""
     env, returns = make(net, background), []
     for number in range(episodes):
         observation, _ = env.reset(seed=HELD_OUT_SEED + number)
-        over = False
-        while not over:
+        has_ended = False
+        while not has_ended:
             observation, _, terminated, truncated, info = env.step(act(observation))
-            over = terminated or truncated
+            has_ended = terminated or truncated
         returns.append(EpisodeReturn(number, info["episode"]["r"], info["episode"]["l"], info["end"]))
     env.close()
     return returns
@@ -131,7 +131,7 @@ def tenths(episodes: Sequence[EpisodeReturn], steps: int) -> tuple[list[EpisodeR
 def draw(
     episodes: Sequence[EpisodeReturn], random: Sequence[EpisodeReturn], trained: Sequence[EpisodeReturn]
 ) -> Figure:
-    """Return the curve: every episode, their moving mean, and both policies on held-out seeds."""
+    """Return a figure with the return of every episode, their moving mean, and both policies on held-out seeds."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
     step = np.array([episode.step for episode in episodes])
@@ -156,7 +156,7 @@ def draw(
 
 
 def write(path: Path, **returns: Sequence[EpisodeReturn]) -> None:
-    """Write a table of episodes, the policy's name in its first column."""
+    """Write a table of episodes with the policy's name in the first column."""
     with path.open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(("policy", *EpisodeReturn._fields))
@@ -164,7 +164,7 @@ def write(path: Path, **returns: Sequence[EpisodeReturn]) -> None:
 
 
 def main() -> None:
-    """Read the command line, train, evaluate, and say what came of it."""
+    """Read the command line, train, evaluate, and print the results."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -179,9 +179,9 @@ def main() -> None:
     model, episodes = train(options.steps, options.workers, options.net, options.background, options.out)
     write(options.out / "episodes.csv", training=episodes)
     draws = np.random.default_rng(0)
-    where = (options.evaluate, options.net, options.background)
-    random = evaluate(lambda _: draws.uniform(-1.0, 1.0, 2).astype(np.float32), *where)
-    trained = evaluate(lambda observation: model.predict(observation, deterministic=True)[0], *where)
+    setting = (options.evaluate, options.net, options.background)
+    random = evaluate(lambda _: draws.uniform(-1.0, 1.0, 2).astype(np.float32), *setting)
+    trained = evaluate(lambda observation: model.predict(observation, deterministic=True)[0], *setting)
     write(options.out / "evaluation.csv", random=random, trained=trained)
     draw(episodes, random, trained).savefig(options.out / "curve.png", dpi=120)
     first, last = tenths(episodes, options.steps)

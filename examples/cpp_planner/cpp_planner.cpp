@@ -1,6 +1,6 @@
-// A planner in C++ behind planner.proto: follows the centre lines of its route by pure pursuit (Coulter 1992), and whoever
-// is ahead on them by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000, doi:10.1103/PhysRevE.62.1805).
-// It knows neither signals nor the right of way; it is here to show the protocol.
+// A planner in C++ that implements planner.proto. It follows the centre lines of its route by pure pursuit (Coulter 1992),
+// and the lead vehicle by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000,
+// doi:10.1103/PhysRevE.62.1805). It ignores signals and the right of way; its purpose is to show the protocol.
 //
 //   advdiff-sumo run --target "exec:build/cpp_planner"
 #include <grpcpp/grpcpp.h>
@@ -28,7 +28,7 @@ struct Point {
 
 struct Net {
   std::map<std::string, api::Lane> lanes;
-  std::multimap<std::string, api::Link> links;  // by the lane that they leave
+  std::multimap<std::string, api::Link> links;  // by the lane from which they start
 };
 
 constexpr double kAheadM = 80.0, kHalfLaneM = 1.6, kHeadwayS = 1.5, kGapM = 2.5, kAccelMps2 = 1.5, kBrakeMps2 = 2.5;
@@ -39,25 +39,26 @@ double heading(const api::Lane& lane, int k) {
   return std::atan2(lane.y_m(k + 1) - lane.y_m(k), lane.x_m(k + 1) - lane.x_m(k));
 }
 
-double turned(double angle_rad) { return std::remainder(angle_rad, 2.0 * M_PI); }
+// The angle in [-pi, pi].
+double wrapped(double angle_rad) { return std::remainder(angle_rad, 2.0 * M_PI); }
 
-// The lane of the route, or of a junction between its edges, that the vehicle is on, and the piece of its centre line.
+// The vehicle's lane (of the route or of a junction) and the nearest piece of its centre line; null if none is near.
 std::pair<const api::Lane*, int> locate(const Net& net, const api::Scene& scene) {
   const auto& own = scene.own();
   const int now = own.x_m_size() - 1;
   const std::set<std::string> route(scene.route().begin(), scene.route().end());
   std::pair<const api::Lane*, int> best{nullptr, 0};
-  double least = 6.0;
+  double least_cost = 6.0;
   for (const auto& [id, lane] : net.lanes) {
     if (!lane.internal() && !route.count(lane.edge_id())) continue;
     for (int k = 0; k + 1 < lane.x_m_size(); ++k) {
       const double dx = lane.x_m(k + 1) - lane.x_m(k), dy = lane.y_m(k + 1) - lane.y_m(k);
       const double along = ((own.x_m(now) - lane.x_m(k)) * dx + (own.y_m(now) - lane.y_m(k)) * dy) / (dx * dx + dy * dy);
       const double s = std::clamp(along, 0.0, 1.0);
-      const double away = std::hypot(own.x_m(now) - lane.x_m(k) - s * dx, own.y_m(now) - lane.y_m(k) - s * dy);
-      const double cost = away + 3.0 * std::abs(turned(heading(lane, k) - own.yaw_rad(now)));
-      if (cost < least) {
-        least = cost;
+      const double distance = std::hypot(own.x_m(now) - lane.x_m(k) - s * dx, own.y_m(now) - lane.y_m(k) - s * dy);
+      const double cost = distance + 3.0 * std::abs(wrapped(heading(lane, k) - own.yaw_rad(now)));
+      if (cost < least_cost) {
+        least_cost = cost;
         best = {&lane, k};
       }
     }
@@ -65,8 +66,8 @@ std::pair<const api::Lane*, int> locate(const Net& net, const api::Scene& scene)
   return best;
 }
 
-// The centre line from there on, over the links that lead along the route.
-std::vector<Point> way(const Net& net, const api::Scene& scene, const api::Lane* lane, int piece) {
+// The centre line from the end of this piece on, continued over the links along the route.
+std::vector<Point> path_ahead(const Net& net, const api::Scene& scene, const api::Lane* lane, int piece) {
   const std::set<std::string> route(scene.route().begin(), scene.route().end());
   std::vector<Point> points;
   double length_m = 0.0;
@@ -95,7 +96,7 @@ api::Plan drive(const Net& net, const api::Scene& scene) {
   const int now = own.x_m_size() - 1;
   const double x = own.x_m(now), y = own.y_m(now), yaw = own.yaw_rad(now), speed = std::max(own.speed_mps(now), 0.0);
   const auto [lane, piece] = locate(net, scene);
-  const auto points = lane ? way(net, scene, lane, piece) : std::vector<Point>{};
+  const auto points = lane ? path_ahead(net, scene, lane, piece) : std::vector<Point>{};
   double accel = -3.0, steer = 0.0;
   if (points.size() > 1) {
     const double look_m = std::max(6.0, speed);
@@ -108,9 +109,10 @@ api::Plan drive(const Net& net, const api::Scene& scene) {
     }
     const double dx = aim.x_m - x, dy = aim.y_m - y;
     const double left = -std::sin(yaw) * dx + std::cos(yaw) * dy;
-    const double bend = 2.0 * left / std::max(dx * dx + dy * dy, 1.0);
-    const double wish = std::max(1.0, std::min(lane->speed_limit_mps(), std::sqrt(kLateralMps2 / std::max(std::abs(bend), 1e-3))));
-    double gap = 1e3, lead = 0.0;
+    const double curvature = 2.0 * left / std::max(dx * dx + dy * dy, 1.0);
+    const double bend_mps = std::sqrt(kLateralMps2 / std::max(std::abs(curvature), 1e-3));
+    const double desired_mps = std::max(1.0, std::min(lane->speed_limit_mps(), bend_mps));
+    double gap = 1e3, lead_mps = 0.0;
     for (const auto& other : scene.others()) {
       double s = std::hypot(points[0].x_m - x, points[0].y_m - y);
       for (size_t k = 0; k + 1 < points.size(); ++k) {
@@ -118,19 +120,20 @@ api::Plan drive(const Net& net, const api::Scene& scene) {
         const double step = std::hypot(ex, ey);
         if (step < 1e-6) continue;
         const double ox = other.x_m(now) - points[k].x_m, oy = other.y_m(now) - points[k].y_m;
-        const double along = (ox * ex + oy * ey) / step, beside = (ex * oy - ey * ox) / step;
-        const double room = s + along - 0.5 * (own.length_m() + other.length_m());
-        if (along >= 0.0 && along <= step && std::abs(beside) < kHalfLaneM && room < gap) {
-          gap = room;
-          lead = std::max(other.speed_mps(now), 0.0);
+        const double along = (ox * ex + oy * ey) / step, offset = (ex * oy - ey * ox) / step;
+        const double other_gap = s + along - 0.5 * (own.length_m() + other.length_m());
+        if (along >= 0.0 && along <= step && std::abs(offset) < kHalfLaneM && other_gap < gap) {
+          gap = other_gap;
+          lead_mps = std::max(other.speed_mps(now), 0.0);
         }
         s += step;
       }
     }
-    const double apart = kGapM + speed * kHeadwayS + speed * (speed - lead) / (2.0 * std::sqrt(kAccelMps2 * kBrakeMps2));
-    const double close = std::max(apart, 0.0) / std::max(gap, 0.5);
-    accel = std::clamp(kAccelMps2 * (1.0 - std::pow(speed / wish, 4) - close * close), -8.0, kAccelMps2);
-    steer = std::clamp(std::atan(0.6 * own.length_m() * bend), -kMostSteerRad, kMostSteerRad);
+    const double desired_gap =
+        kGapM + speed * kHeadwayS + speed * (speed - lead_mps) / (2.0 * std::sqrt(kAccelMps2 * kBrakeMps2));
+    const double gap_ratio = std::max(desired_gap, 0.0) / std::max(gap, 0.5);
+    accel = std::clamp(kAccelMps2 * (1.0 - std::pow(speed / desired_mps, 4) - gap_ratio * gap_ratio), -8.0, kAccelMps2);
+    steer = std::clamp(std::atan(0.6 * own.length_m() * curvature), -kMostSteerRad, kMostSteerRad);
   }
   api::Plan plan;
   plan.mutable_controls()->set_dt_s(kStepS);
@@ -142,9 +145,9 @@ api::Plan drive(const Net& net, const api::Scene& scene) {
 }
 
 class Service final : public api::Planner::Service {
-  Status Describe(ServerContext*, const api::DescribeRequest*, api::Description* told) override {
-    told->set_protocol_version(1);
-    told->set_name("cpp_planner");
+  Status Describe(ServerContext*, const api::DescribeRequest*, api::Description* description) override {
+    description->set_protocol_version(1);
+    description->set_name("cpp_planner");
     return Status::OK;
   }
 
@@ -187,10 +190,10 @@ class Service final : public api::Planner::Service {
 }  // namespace
 
 int main() {
-  const char* asked = std::getenv("ADVDIFF_PLANNER_ADDRESS");
+  const char* address = std::getenv("ADVDIFF_PLANNER_ADDRESS");
   Service service;
   grpc::ServerBuilder builder;
-  builder.AddListeningPort(asked ? asked : "localhost:50051", grpc::InsecureServerCredentials());
+  builder.AddListeningPort(address ? address : "localhost:50051", grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(-1);
   builder.RegisterService(&service);
   const auto server = builder.BuildAndStart();

@@ -1,4 +1,4 @@
-"""What both planners share: the frame they plan in, the state they start from, and the emergency stop."""
+"""Common parts of both adapters: the planning frame, the initial state, and the emergency stop."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from prediction import LaneSegments, lane_segments
 from reference_line import ReferenceLine, reference_line
 
 STEP_S, REPLAN_STEPS = 0.1, 5
-REAR_AXLE_M, WHEELBASE_M = 1.4227170936, 2.5789127700  # BMW 320i, the default vehicle of both
-EMERGENCY_MPS2, LEAST_MPS = 8.0, 0.01
-LINE_M, LINE_S = 150.0, 9.0  # how far the line leads, at least; longer than the longest plan at any speed
-_TRACKED_M, _SLOWEST_MPS = 0.5, 1.0
+REAR_AXLE_M, WHEELBASE_M = 1.4227170936, 2.5789127700  # BMW 320i, the default vehicle of both planners
+EMERGENCY_MPS2, LEAST_MPS = 8.0, 0.01  # deceleration of the emergency stop; least speed given to the planners
+LINE_M, LINE_S = 150.0, 9.0  # least length of the reference line, and its least duration at the present speed
+_TRACKED_M = 0.5  # the last plan was followed if the vehicle is nearer than this to its planned position
+_SLOWEST_MPS = 1.0  # least speed for estimating the curvature
 
 
 @dataclass(frozen=True)
 class OwnFrame:
-    """The vehicle's frame: its centre is the origin, x is its heading.
+    """The vehicle's frame: the origin is its centre, x points along its heading.
 
-    Planning in it keeps headings small, which the planners' Frenet frames ask for.
+    In this frame headings are small, as the planners' Frenet frames require.
     """
 
     xy_m: np.ndarray
     yaw_rad: float
 
     def from_world(self, xy_m: np.ndarray) -> np.ndarray:
-        """Return points (…, 2) of the world in this frame."""
+        """Return points (…, 2), given in the world's frame, in this frame."""
         return (xy_m - self.xy_m) @ self._rotation()
 
     def to_world(self, xy_m: np.ndarray) -> np.ndarray:
-        """Return points (…, 2) of this frame in the world."""
+        """Return points (…, 2), given in this frame, in the world's frame."""
         return xy_m @ self._rotation().T + self.xy_m
 
     def _rotation(self) -> np.ndarray:
@@ -42,7 +43,7 @@ class OwnFrame:
 
 @dataclass(frozen=True)
 class Expected:
-    """Where the last plan meant the vehicle to be now, with what acceleration and curvature."""
+    """Position, acceleration and curvature that the last plan has for the present instant."""
 
     xy_m: np.ndarray
     accel_mps2: float
@@ -51,7 +52,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Memory:
-    """What an episode remembers: the map's lanes and edges, and the last plan."""
+    """Memory of an episode: the lanes, the edges (K, 2, 2) of the road, and the state expected by the last plan."""
 
     segments: LaneSegments
     boundary_m: np.ndarray
@@ -60,15 +61,15 @@ class Memory:
 
 @dataclass(frozen=True)
 class Task:
-    """One planning problem, in the vehicle's frame.
+    """A planning problem.
 
     Attributes:
-        frame: of the vehicle.
-        line: what to follow, in the world's frame.
-        line_m: (P, 2) the same in the vehicle's frame.
-        size_m: length and width.
-        speed_mps, accel_mps2, curvature_per_m: of the vehicle now.
-        desired_mps: for limits, bends and red lights.
+        frame: the vehicle's frame.
+        line: reference line in the world's frame.
+        line_m: (P, 2) the same line in the vehicle's frame.
+        size_m: length and width of the vehicle.
+        speed_mps, accel_mps2, curvature_per_m: present motion of the vehicle.
+        desired_mps: speed that respects limits, bends and red lights.
     """
 
     frame: OwnFrame
@@ -89,7 +90,7 @@ def started(road: KitRoad) -> Memory:
 
 
 def task_now(road: KitRoad, scene: Scene, memory: Memory) -> Task | None:
-    """Return what is to be planned, or None where the vehicle is on no lane of its route."""
+    """Return the planning problem of the present instant; None if the vehicle is on no lane of its route."""
     now, me = scene.history, scene.target
     line = reference_line(road, scene, ahead_m=max(LINE_M, LINE_S * float(now.speed_mps[me, -1])))
     if line is None:
@@ -109,7 +110,10 @@ def task_now(road: KitRoad, scene: Scene, memory: Memory) -> Task | None:
 
 
 def _motion(scene: Scene, expected: Expected | None) -> tuple[float, float]:
-    """Return acceleration and curvature now: as planned where the plan was kept, else from the last half second."""
+    """Return the present acceleration and curvature.
+
+    They are those of the last plan if it was followed; otherwise they are estimated from the last half second.
+    """
     now, me = scene.history, scene.target
     if expected is not None and np.linalg.norm(expected.xy_m - now.xy_m[me, -1]) < _TRACKED_M:
         return expected.accel_mps2, expected.curvature_per_m
@@ -121,24 +125,24 @@ def _motion(scene: Scene, expected: Expected | None) -> tuple[float, float]:
 
 
 def planned(task: Task, memory: Memory, axle_m: np.ndarray, states: np.ndarray) -> tuple[Trajectory, Memory]:
-    """Return the plan in the world's frame and the memory of it.
+    """Return the plan in the world's frame, and the memory with the state that it expects at the next call.
 
     Args:
-        task: what was to be planned.
-        memory: so far.
-        axle_m: (T, 2) places of the rear axle from one step ahead on, in the vehicle's frame.
+        task: the planning problem.
+        memory: the memory so far.
+        axle_m: (T, 2) positions of the rear axle from the next step on, in the vehicle's frame.
         states: (T, 4) heading in that frame, speed, acceleration, curvature.
     """
     yaw = states[:, 0]
     centre = axle_m + REAR_AXLE_M * np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
     xy = task.frame.to_world(centre)
-    at = min(REPLAN_STEPS, len(xy)) - 1
-    expected = Expected(xy[at], float(states[at, 2]), float(states[at, 3]))
+    replan = min(REPLAN_STEPS, len(xy)) - 1
+    expected = Expected(xy[replan], float(states[replan, 2]), float(states[replan, 3]))
     return Trajectory(xy, yaw + task.frame.yaw_rad, states[:, 1], STEP_S), replace(memory, expected=expected)
 
 
 class Adapter(ABC):
-    """What the planner kit asks of both: a plan where they find a way, else a stop along the line."""
+    """A planner of the planner kit: returns the plan that :meth:`path` finds, otherwise a stop along the line."""
 
     steps: int
 
@@ -147,32 +151,33 @@ class Adapter(ABC):
 
     def plan(self, road, scene, memory, rng):
         task = task_now(road, scene, memory)
-        way = None if task is None else self.way(road, scene, memory, task)
-        if way is None:
+        path = None if task is None else self.path(road, scene, memory, task)
+        if path is None:
             return emergency_stop(scene, None if task is None else task.line, self.steps), memory
-        return planned(task, memory, *way)
+        return planned(task, memory, *path)
 
     @abstractmethod
-    def way(self, road, scene, memory, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return places of the rear axle and states, as :func:`planned` takes them; None where there is no way."""
+    def path(self, road, scene, memory, task: Task) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return positions of the rear axle and states, as arguments of :func:`planned`; None if there is no path."""
 
 
 def emergency_stop(scene: Scene, line: ReferenceLine | None, steps: int) -> Trajectory:
-    """Return a stop at ``EMERGENCY_MPS2`` beside the line, as far to its side as now; straight on without a line."""
+    """Return a stop at ``EMERGENCY_MPS2`` along the line at the present lateral offset; straight on without a line."""
     now, me = scene.history, scene.target
     xy, yaw, speed = now.xy_m[me, -1], float(now.yaw_rad[me, -1]), float(now.speed_mps[me, -1])
     times = STEP_S * np.arange(1, steps + 1)
-    braked = np.minimum(times, speed / EMERGENCY_MPS2)
-    way = speed * braked - 0.5 * EMERGENCY_MPS2 * braked**2
+    braking_s = np.minimum(times, speed / EMERGENCY_MPS2)
+    distance = speed * braking_s - 0.5 * EMERGENCY_MPS2 * braking_s**2
     speeds = np.maximum(speed - EMERGENCY_MPS2 * times, 0.0)
     if line is None:
-        return Trajectory(xy + way[:, None] * [np.cos(yaw), np.sin(yaw)], np.full(steps, yaw), speeds, STEP_S)
+        xy = xy + distance[:, None] * [np.cos(yaw), np.sin(yaw)]
+        return Trajectory(xy, np.full(steps, yaw), speeds, STEP_S)
     tangent = np.gradient(line.xy_m, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    at = np.arange(len(line.xy_m), dtype=float)
-    along = np.column_stack([np.interp(line.s_m + way, at, line.xy_m[:, k]) for k in (0, 1)])
-    base = np.array([np.interp(line.s_m, at, line.xy_m[:, k]) for k in (0, 1)])
-    turned = np.interp(line.s_m + way, at, heading) - np.interp(line.s_m, at, heading)
-    rotation = np.stack((np.cos(turned), -np.sin(turned), np.sin(turned), np.cos(turned)), axis=-1)
-    xy = along + rotation.reshape(-1, 2, 2) @ (xy - base)
-    return Trajectory(xy, yaw + turned, speeds, STEP_S)
+    s = np.arange(len(line.xy_m), dtype=float)  # the points of the line are a metre apart
+    on_line = np.column_stack([np.interp(line.s_m + distance, s, line.xy_m[:, k]) for k in (0, 1)])
+    start = np.array([np.interp(line.s_m, s, line.xy_m[:, k]) for k in (0, 1)])
+    turn = np.interp(line.s_m + distance, s, heading) - np.interp(line.s_m, s, heading)
+    rotation = np.stack((np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)), axis=-1)
+    xy = on_line + rotation.reshape(-1, 2, 2) @ (xy - start)
+    return Trajectory(xy, yaw + turn, speeds, STEP_S)

@@ -1,4 +1,4 @@
-"""Collision objects of CommonRoad's drivability checker: the others as predicted, and the edges of the road."""
+"""Collision objects of CommonRoad's drivability checker: the predicted other road users, and the road's edges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ _RANGE_M, _HALF_EDGE_M = 80.0, 0.01
 def checker_of(
     frame: OwnFrame, poses: np.ndarray, sizes_m: np.ndarray, boundary_m: np.ndarray, continuous: bool
 ):
-    """Return a checker of predicted *poses* (A, T, 3) of boxes (A, 2), and of edges (K, 2, 2), all of the world."""
+    """Return a collision checker in *frame*.
+
+    Args:
+        frame: the vehicle's frame.
+        poses: (A, T, 3) predicted poses of the others in the world's frame.
+        sizes_m: (A, 2) their boxes.
+        boundary_m: (K, 2, 2) edges of the road in the world's frame.
+        continuous: whether the movement between poses is covered, too.
+    """
     checker = pycrcc.CollisionChecker()
     for pose, (length, width) in zip(poses, sizes_m, strict=True):
         xy, yaw = frame.from_world(pose[:, :2]), pose[:, 2] - frame.yaw_rad
@@ -23,7 +31,7 @@ def checker_of(
 
 
 def moving_box(xy_m: np.ndarray, yaw_rad: np.ndarray, length_m: float, width_m: float, continuous: bool):
-    """Return a box that moves through (T, 2) centres; *continuous* fills the ways between them."""
+    """Return a box that moves through centres (T, 2); *continuous*: the area between them is covered, too."""
     moving = pycrcc.TimeVariantCollisionObject(0)
     for (x, y), yaw in zip(xy_m, yaw_rad, strict=True):
         moving.append_obstacle(pycrcc.RectOBB(0.5 * length_m, 0.5 * width_m, yaw, x, y))
@@ -34,7 +42,7 @@ def moving_box(xy_m: np.ndarray, yaw_rad: np.ndarray, length_m: float, width_m: 
 
 
 def own_box(axle_m: np.ndarray, yaw_rad: np.ndarray, size_m: np.ndarray):
-    """Return the planning vehicle's box along places (T, 2) of its rear axle."""
+    """Return the moving box of the planning vehicle, given positions (T, 2) of its rear axle."""
     centre = axle_m + REAR_AXLE_M * np.stack((np.cos(yaw_rad), np.sin(yaw_rad)), axis=-1)
     return moving_box(centre, yaw_rad, float(size_m[0]), float(size_m[1]), continuous=True)
 

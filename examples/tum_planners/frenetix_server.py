@@ -1,9 +1,9 @@
-"""Frenetix (TU Munich, frenetix 0.4) behind the planner kit.
+"""Serve Frenetix (TU Munich, frenetix 0.4) with the planner kit.
 
-A C++ library that samples curves in the Frenet frame of a reference line, computes their feasibility and costs, and
-sorts them (Trauth et al. 2024, doi:10.1109/ACCESS.2024.3436835). Sampling, costs, constraints and the stop in an
-emergency are those of its authors' motion planner, and so are the collision check along predictions and the road's
-edges. It knows no right of way. Where no curve can be driven at all we stop along the line.
+Frenetix is a C++ library that samples curves in the Frenet frame of a reference line, computes their feasibility and
+costs, and sorts them (Trauth et al. 2024, doi:10.1109/ACCESS.2024.3436835). Sampling, costs, constraints, emergency
+stop and the collision check against predictions and the road's edges are those of its authors' motion planner. It does
+not consider the right of way. If no curve is feasible, the adapter stops along the line.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from prediction import predicted_poses
 
 HORIZON_S, SHORTEST_S, LOW_MPS = 3.0, 1.1, 2.0
 STEPS = round(HORIZON_S / STEP_S)
-SIDE_M, SAMPLES = 3.0, 9  # to either side of the line; speeds and places at the end
+SIDE_M, SAMPLES = 3.0, 9  # largest final lateral offset; number of final speeds and of final lateral offsets
 TIMES_S = np.round(np.arange(SHORTEST_S, HORIZON_S + STEP_S, 0.3), 2)
 ACCEL_MPS2, SWITCH_MPS, FASTEST_MPS, STEER_RAD, STEER_RADPS = 11.5, 7.319, 50.8, 1.066, 0.4  # BMW 320i
 WEIGHTS = {"lateral_jerk": 1.0, "longitudinal_jerk": 1.0, "distance_to_reference_path": 3.0}
@@ -31,44 +31,43 @@ _TIME, _SPEED, _SIDE = 1, 5, 10  # columns of a sampling matrix
 
 
 class Frenetix(Adapter):
-    """Plans 3 s at 0.1 s."""
+    """Plans 3 s in steps of 0.1 s."""
 
     steps = STEPS
 
-    def way(self, road, scene, memory, task: Task):
+    def path(self, road, scene, memory, task: Task):
         sample = self._sample(road, scene, memory, task)
         if sample is None:
             return None
-        way = sample.cartesian
-        axle = np.column_stack((way.x, way.y))[1:]
-        return axle, np.column_stack((way.theta, way.v, way.a, way.kappa))[1:]
+        curve = sample.cartesian
+        axle = np.column_stack((curve.x, curve.y))[1:]
+        return axle, np.column_stack((curve.theta, curve.v, curve.a, curve.kappa))[1:]
 
     def _sample(self, road, scene, memory, task: Task):
-        """Return the cheapest curve without collision, else the one that stops soonest, else None."""
+        """Return the cheapest feasible curve without collision, else :func:`soonest_stop`; None if none is feasible."""
         poses, sizes = predicted_poses(road, memory.segments, scene, STEPS, STEP_S)
         frame = frenetix.CoordinateSystemWrapper(np.ascontiguousarray(task.line_m))
         low = task.speed_mps < LOW_MPS
         steer = float(np.arctan(WHEELBASE_M * task.curvature_per_m))
-        axle = np.array([-REAR_AXLE_M, 0.0])
-        state = frenetix.CartesianPlannerState(axle, 0.0, task.speed_mps, task.accel_mps2, steer)
+        axle_now = np.array([-REAR_AXLE_M, 0.0])
+        state = frenetix.CartesianPlannerState(axle_now, 0.0, task.speed_mps, task.accel_mps2, steer)
         start = frenetix.compute_initial_state(frame, state, WHEELBASE_M, low)
         matrix = sampling_matrix(start.x0_lon, start.x0_lat, task.speed_mps)
         handler = _handler(task, frame, low, predictions(task, poses, sizes))
         handler.generate_trajectories(matrix, low)
         handler.evaluate_all_current_functions(True)
-        drivable = [sample for sample in handler.get_sorted_trajectories() if sample.feasible]
+        feasible = [sample for sample in handler.get_sorted_trajectories() if sample.feasible]
         checker = checker_of(task.frame, poses, sizes, memory.boundary_m, continuous=True)
-        for sample in drivable:
-            way = sample.cartesian
-            if not checker.collide(
-                own_box(np.column_stack((way.x, way.y)), np.asarray(way.theta), task.size_m)
-            ):
+        for sample in feasible:
+            curve = sample.cartesian
+            axle = np.column_stack((curve.x, curve.y))
+            if not checker.collide(own_box(axle, np.asarray(curve.theta), task.size_m)):
                 return sample
-        return soonest_stop(drivable, float(start.x0_lat[0]))
+        return soonest_stop(feasible, float(start.x0_lat[0]))
 
 
 def sampling_matrix(lon: np.ndarray, lat: np.ndarray, speed_mps: float) -> np.ndarray:
-    """Return (N, 13) curves to look at: end times, speeds and places beside the line, each with each."""
+    """Return (N, 13) the curves to sample: all combinations of final times, speeds and lateral offsets."""
     slowest = max(0.01, speed_mps - 0.5 * ACCEL_MPS2 * HORIZON_S)
     fastest = min(speed_mps + ACCEL_MPS2 / 7.0 * HORIZON_S, FASTEST_MPS)
     times = np.union1d(TIMES_S[TIMES_S <= HORIZON_S], HORIZON_S)
@@ -81,17 +80,17 @@ def sampling_matrix(lon: np.ndarray, lat: np.ndarray, speed_mps: float) -> np.nd
 
 
 def soonest_stop(samples, side_m: float):
-    """Return the slowest, then the shortest curve, then the one nearest to the present side; None of none."""
+    """Return the curve with the least final speed, then time, then change of lateral offset; None if there are none."""
 
     def order(sample):
-        given = np.asarray(sample.sampling_parameters)
-        return given[_SPEED], given[_TIME], abs(given[_SIDE] - side_m)
+        parameters = np.asarray(sample.sampling_parameters)
+        return parameters[_SPEED], parameters[_TIME], abs(parameters[_SIDE] - side_m)
 
     return min(samples, key=order, default=None)
 
 
 def predictions(task: Task, poses: np.ndarray, sizes_m: np.ndarray) -> dict:
-    """Return the others as Frenetix takes them: poses from one step ahead on, with a variance, in the own frame."""
+    """Return the others as Frenetix objects: poses from the next step on, with a variance, in the vehicle's frame."""
     covariance = np.zeros((6, 6), order="F")
     covariance[0, 0] = covariance[1, 1] = VARIANCE_M2
     objects = {}

@@ -1,11 +1,12 @@
-"""CommonRoad's reactive planner (TU Munich, commonroad-reactive-planner 2025.1) behind the planner kit.
+"""Serve CommonRoad's reactive planner (TU Munich, commonroad-reactive-planner 2025.1) with the planner kit.
 
 It samples quintic and quartic curves in the Frenet frame of a reference line (Werling et al. 2010,
-doi:10.1109/ROBOT.2010.5509799), takes out those that the vehicle cannot drive or that collide, and drives the cheapest.
-Its defaults are kept (horizon, sampling, costs, vehicle, constraints); it plans in one process, not in six.
-The adapter gives it what its authors take from a CommonRoad scenario: reference line, desired speed, the others as
-they will be, the road's edges. It knows no right of way. Where it finds no curve we stop along the line, or stand: so
-does it, but version 2025.1 raises then, as its log line formats a cost that such a plan does not have.
+doi:10.1109/ROBOT.2010.5509799), removes those that are not feasible or collide, and drives the cheapest. Horizon,
+sampling, costs, vehicle and constraints are its defaults; it plans in one process instead of six. The adapter provides
+what its authors take from a CommonRoad scenario: reference line, desired speed, predictions of the others, and the
+road's edges. It does not consider the right of way. If it finds no curve, the adapter stops along the line or stands.
+The planner itself can also plan to stand, but version 2025.1 raises then, because it logs a cost that such a plan
+lacks.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from commonroad_rp.utility.utils_coordinate_system import create_coordinate_syst
 from prediction import predicted_poses
 
 HORIZON = 60  # steps
-STANDS_MPS = 0.05  # up to which the planner may plan to stand still
+STANDS_MPS = 0.05  # largest speed at which the planner may plan to stand still
 OUTSIDE = (
     CartesianProjectionDomainError,
     CurvilinearProjectionDomainLateralError,
@@ -40,11 +41,11 @@ logging.disable(logging.WARNING)
 
 
 class Reactive(Adapter):
-    """Plans 6 s at 0.1 s."""
+    """Plans 6 s in steps of 0.1 s."""
 
     steps = HORIZON
 
-    def way(self, road, scene, memory, task: Task):
+    def path(self, road, scene, memory, task: Task):
         states = self._states(road, scene, memory, task)
         if states is None:
             return None
@@ -55,7 +56,7 @@ class Reactive(Adapter):
         return np.array([s.position for s in states]), np.array(rows)
 
     def _states(self, road, scene, memory, task: Task):
-        """Return the states of its plan from one step ahead on, in the vehicle's frame; None where there is none."""
+        """Return the states of its plan from the next step on, in the vehicle's frame; None if there is no plan."""
         config = ReactivePlannerConfiguration()
         config.vehicle.length, config.vehicle.width = map(float, task.size_m)
         config.planning.time_steps_computation = HORIZON
@@ -70,7 +71,7 @@ class Reactive(Adapter):
                 collision_checker=checker_of(task.frame, poses, sizes, memory.boundary_m, continuous=False),
                 coordinate_system=frenet_frame(task.line_m),
             )
-        except (ValueError, *OUTSIDE):  # the vehicle is outside of what its Frenet frame covers
+        except (ValueError, *OUTSIDE):  # the vehicle is outside the domain of the Frenet frame
             return None
         planner.set_desired_velocity(task.desired_mps, task.speed_mps)
         try:
@@ -78,12 +79,12 @@ class Reactive(Adapter):
         except TypeError:
             if task.speed_mps > STANDS_MPS:
                 raise
-            return None  # it plans to stand still, and the line that it logs about that raises
+            return None  # it planned to stand still, and its log line about this raised
         return None if result is None else result[0].state_list[1:]
 
 
 class InTraffic(ReactivePlanner):
-    """The planner with the checker that it is given: it would make one of a CommonRoad map, which there is not."""
+    """The planner with a given collision checker; by default, it would make one from a CommonRoad map."""
 
     def set_collision_checker(self, scenario=None, collision_checker=None, road_boundary_obstacle=None):
         super().set_collision_checker(collision_checker=collision_checker or pycrcc.CollisionChecker())
@@ -92,19 +93,19 @@ class InTraffic(ReactivePlanner):
 def frenet_frame(line_m: np.ndarray):
     """Return the planner's Frenet frame of a line.
 
-    Beside a sharp bend some samples leave the frame. The planner takes those out where it gets None for a place; the
-    frame of commonroad-clcs 2025.2 raises instead, which would end the plan.
+    Beside a sharp bend, some samples are outside the frame's domain. The planner removes them if the conversion returns
+    None, but the frame of commonroad-clcs 2025.2 raises, which would end the plan.
     """
     frame = create_coordinate_system(line_m)
     convert = frame.convert_to_cartesian_coords
 
-    def place_or_none(s: float, d: float):
+    def position_or_none(s: float, d: float):
         try:
             return convert(s, d)
         except OUTSIDE:
             return None
 
-    frame.convert_to_cartesian_coords = place_or_none
+    frame.convert_to_cartesian_coords = position_or_none
     return frame
 
 

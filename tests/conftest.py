@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-_BUSY = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}  # a busy machine is no failure
-settings.register_profile("desk", **_BUSY)
-settings.register_profile("ci", derandomize=True, **_BUSY)
+_NO_TIME_LIMITS = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}  # for busy machines
+settings.register_profile("desk", **_NO_TIME_LIMITS)
+settings.register_profile("ci", derandomize=True, **_NO_TIME_LIMITS)
 settings.load_profile("desk")
 
 LONG = (
@@ -42,27 +42,27 @@ LONG = (
     "test_remote_faults.py",
     "test_diverse.py",
 )
-"""Files of minutes, longest first: begun last, one of them would run alone while the other worker waits."""
+"""Files that take minutes, longest first. They run first, since a long file at the end would leave a worker idle."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of long files first; ``make test`` keeps that order."""
+    """Put the tests of long files first; ``make test`` runs them in that order."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 @pytest.fixture(scope="session")
 def adv_data() -> Path:
-    """Return the folder of real data that ADVDIFF_DATA names, or skip."""
-    named = os.environ.get("ADVDIFF_DATA")
-    if not named:
+    """Return the folder of real data that ADVDIFF_DATA names; without it, skip the test."""
+    setting = os.environ.get("ADVDIFF_DATA")
+    if not setting:
         pytest.skip("ADVDIFF_DATA is not set: this test needs the real nets and logs")
-    root = Path(named).resolve()
+    root = Path(setting).resolve()
     if not root.is_dir():
-        pytest.skip(f"ADVDIFF_DATA={named} is no folder")
+        pytest.skip(f"ADVDIFF_DATA={setting} is no folder")
     return root
 
 
 @pytest.fixture(scope="session")
 def networks() -> Path:
-    """Return the folder of the nets that ship with the project."""
+    """Return the folder of the shipped nets."""
     return Path(__file__).resolve().parents[1] / "networks"

@@ -1,4 +1,4 @@
-"""How many examples a costly property is tried on."""
+"""Number of examples for tests of costly properties."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from hypothesis import settings
 
 
 def examples(ci: int, desk: int) -> int:
-    """Return *ci* where examples are the same every time, so that more of them find nothing new, and else *desk*."""
+    """Return *ci* if the examples are the same in every run, so that more of them find nothing new; else *desk*."""
     return ci if settings().derandomize else desk

@@ -1,4 +1,4 @@
-"""How long a test waits for another process before it takes it for hung; no test may fail because a machine is busy."""
+"""Time limits for waiting for other processes; they are long, so that no test fails because a machine is busy."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: Many times what the slowest of them takes on a machine at rest.
+#: After this time a process counts as hung; many times the duration of the slowest one on an idle machine.
 HANG_S = 3600.0
 
 
 def with_time(attempt: Callable[[float], T | None], limit_s: float) -> T:
-    """Return what *attempt* returns under a time limit that only what hangs may miss.
+    """Call *attempt* with a time limit, which is doubled until it returns a result, and return the result.
 
-    It returns None where something else missed it, since the machine is busy, and is tried with twice the limit.
+    Args:
+        attempt: time limit in s → result; None if a healthy process exceeded the limit because the machine is busy.
+        limit_s: first time limit.
     """
     while (outcome := attempt(limit_s)) is None:
         limit_s *= 2.0

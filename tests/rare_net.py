@@ -1,7 +1,7 @@
-"""Nets of rare but valid features, out of plain XML by netconvert: one street with everything that is drawn along it.
+"""Make nets with rare but valid features from plain XML by netconvert.
 
-:func:`build` composes features by name. What all nets have: streets W-C-E and S-C-N through a crossing C of one lane
-each way, 150 m a leg, and a street E-F beyond, so that a car always has somewhere to go.
+:func:`build` combines features by name. All nets have the streets W-C-E and S-C-N through a junction C, with one lane
+in each direction and legs of 150 m, and a street E-F, so that a car can always drive on.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ LEG_M = 150.0
 
 @dataclass
 class PlainNet:
-    """The plain XML of a net, before netconvert.
+    """The plain XML of a net, as the input of netconvert.
 
     Attributes:
         nodes: id → attributes.
-        edges: id → attributes; "from" and "to" among them.
-        inside: edge id → elements within it.
+        edges: id → attributes, including "from" and "to".
+        inside: edge id → elements inside the edge.
         connections: elements of the connections file.
-        extra: elements of the edges file beside edges, such as roundabouts.
-        options: of netconvert.
-        after: changes to the finished net's text.
+        extra: other elements of the edges file, such as roundabouts.
+        options: options of netconvert.
+        after: changes to the text of the finished net.
     """
 
     nodes: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class PlainNet:
         self.nodes[name] = {"x": f"{x:g}", "y": f"{y:g}", "type": kind}
 
     def street(self, a: str, b: str, *, ways: int = 2, **attributes: str) -> None:
-        """Add an edge from *a* to *b*, and with two *ways* one back."""
+        """Add an edge from *a* to *b* and, if *ways* is 2, one from *b* to *a*."""
         for start, end in ((a, b), (b, a))[:ways]:
             self.edges[f"{start}{end}"] = {"from": start, "to": end, "speed": "13.9"} | attributes
 
@@ -61,42 +61,42 @@ def _base() -> PlainNet:
 
 
 def _uncontrolled_link(net: PlainNet) -> None:
-    """A light that leaves a right turn alone."""
+    """Add a signal that does not control a right turn."""
     net.nodes["C"]["type"] = "traffic_light"
-    for to, alone in (("CE", "true"), ("CN", "false"), ("CW", "false")):
+    for to, is_uncontrolled in (("CE", "true"), ("CN", "false"), ("CW", "false")):
         lanes = f'from="SC" to="{to}" fromLane="0" toLane="0"'
-        net.connections.append(f'<connection {lanes} uncontrolled="{alone}"/>')
+        net.connections.append(f'<connection {lanes} uncontrolled="{is_uncontrolled}"/>')
 
 
 def _blinking_light(net: PlainNet) -> None:
-    """A light whose links have right of way, must yield ("o") or are off ("O") all the time."""
+    """Add a signal whose links are blinking ("o") or off ("O") all the time."""
     net.nodes["C"]["type"] = "traffic_light"
     net.after.append(lambda text: re.sub(r'state="[Gg]', 'state="o', text))
 
 
 def _spaced_id(net: PlainNet) -> None:
-    """Spaces in the id of a light; those of edges, lanes and junctions may not have any."""
+    """Put spaces into the id of a signal; ids of edges, lanes and junctions must not have any."""
     net.nodes["E"] |= {"type": "traffic_light", "tl": "the light of E"}
 
 
 def _permission_change(net: PlainNet) -> None:
-    """A lane that ends for cars in the middle of the way: a bus lane begins where the edge is split."""
+    """Let a lane end for cars within a street: the edge is split, and a bus lane begins there."""
     net.edges["WC"]["numLanes"] = "2"
     net.inside["WC"] = '<split pos="80" lanes="0 1" id="P"/><lane index="0" allow="bus"/>'
 
 
 def _no_internal_length(net: PlainNet) -> None:
-    """Internal lanes of (almost) no length: two edges that meet end to end with their lanes cut nowhere."""
+    """Make internal lanes of (almost) no length: the lanes of two edges meet directly."""
     net.nodes["E"]["radius"] = "0"
 
 
 def _turnarounds(net: PlainNet) -> None:
-    """U-turns everywhere."""
+    """Allow U-turns everywhere."""
     net.options["--no-turnarounds"] = "false"
 
 
 def _roundabout(net: PlainNet) -> None:
-    """A ring around a new place R, whose entries have priority over it: the reverse of the usual."""
+    """Add a roundabout whose entries have priority over the ring, unlike usual ones."""
     ring = {"A": (2.2, 0.0), "B": (2.3, 0.15), "D": (2.4, 0.0), "G": (2.3, -0.15)}
     for name, (x, y) in ring.items():
         net.node(name, LEG_M * x, LEG_M * y)
@@ -110,13 +110,13 @@ def _roundabout(net: PlainNet) -> None:
 
 
 def _bicycles(net: PlainNet) -> None:
-    """A lane for bicycles on the right of a street."""
+    """Add a bicycle lane on the right of a street."""
     net.edges["CE"]["numLanes"] = "2"
     net.inside["CE"] = '<lane index="0" allow="bicycle" width="1.5"/>'
 
 
 def _rail(net: PlainNet) -> None:
-    """A railway across a street, with its crossing, whose light has no number for the trains: linkIndex −1."""
+    """Add a level crossing of a railway and a street; its signal has no link for the trains (linkIndex −1)."""
     net.node("X", LEG_M * 1.5, 0.0, "rail_crossing")
     net.node("Y", LEG_M * 1.5, LEG_M)
     net.node("Z", LEG_M * 1.5, -LEG_M)
@@ -129,7 +129,7 @@ def _rail(net: PlainNet) -> None:
 
 
 def _sidewalks(net: PlainNet) -> None:
-    """Sidewalks, walking areas and a crossing for those on foot."""
+    """Add sidewalks, walking areas and a pedestrian crossing."""
     for name in ("WC", "CW", "CE", "EC", "SC", "CS"):
         net.edges[name]["sidewalkWidth"] = "2"
     net.options |= {"--walkingareas": "true"}
@@ -137,27 +137,27 @@ def _sidewalks(net: PlainNet) -> None:
 
 
 def _opposite_lane(net: PlainNet) -> None:
-    """Overtaking over the lane of the oncoming traffic."""
+    """Allow overtaking on the lane of the oncoming traffic."""
     net.options["--opposites.guess"] = "true"
 
 
 def _stop_offset(net: PlainNet) -> None:
-    """Cars stop 5 m before the end of a street."""
+    """Let cars stop 5 m before the end of a street."""
     net.inside["SC"] = '<stopOffset value="5" vClasses="passenger"/>'
 
 
 def _no_keep_clear(net: PlainNet) -> None:
-    """A junction that may be blocked."""
+    """Let vehicles block the junction."""
     net.nodes["C"]["keepClear"] = "0"
 
 
 def _left_hand(net: PlainNet) -> None:
-    """Traffic on the left."""
+    """Use left-hand traffic."""
     net.options["--lefthand"] = "true"
 
 
 def _projected(net: PlainNet) -> None:
-    """A projection, so that places have a latitude."""
+    """Add a geographic projection."""
     net.after.append(
         lambda text: re.sub(
             r'projParameter="[^"]*"',
@@ -168,7 +168,7 @@ def _projected(net: PlainNet) -> None:
 
 
 def _far_away(net: PlainNet) -> None:
-    """Coordinates of millions of metres, as of a national grid."""
+    """Use coordinates of millions of metres, as in national grids."""
     for node in net.nodes.values():
         node["x"], node["y"] = _moved(node["x"], node["y"])
     for edge in net.edges.values():
@@ -182,12 +182,12 @@ def _moved(x: str, y: str) -> tuple[str, str]:
 
 
 def _non_ascii_ids(net: PlainNet) -> None:
-    """Ids out of other alphabets."""
+    """Use ids with characters beyond ASCII."""
     net.after.append(lambda text: text.replace('"CE', '"Straße-東').replace(" CE_", " Straße-東_"))
 
 
 def _bends(net: PlainNet) -> None:
-    """A street of sharp bends, in which the lanes of one edge are drawn with different lengths."""
+    """Add a street with sharp bends, so that the shapes of the lanes of an edge differ in length."""
     for name in ("NC", "CN"):
         net.edges[name]["numLanes"] = "2"
         middle = [(0.0, 0.3), (0.2, 0.5), (0.0, 0.7)]
@@ -214,15 +214,15 @@ FEATURES: dict[str, Callable[[PlainNet], None]] = {
     "projection": _projected,
     "non-ASCII ids": _non_ascii_ids,
     "bends": _bends,
-    "far away": _far_away,  # moves what the others have drawn
+    "far away": _far_away,  # last, since it shifts all coordinates
 }
-"""What a net may have, by name."""
+"""Functions that add a feature to a net, by name."""
 
 
 def build(folder: Path, names: Iterable[str]) -> Path:
     """Write a net with the features *names* into *folder* and return it."""
     plain = _base()
-    for name in FEATURES:  # in one order, whatever was drawn first
+    for name in FEATURES:  # in a fixed order
         if name in names:
             FEATURES[name](plain)
     files = {"nod": _nodes(plain), "edg": _edges(plain), "con": plain.connections}

@@ -1,4 +1,4 @@
-"""Options are strict and frozen, with suggestions for misspelt names; TOML files; --set."""
+"""Options are strict and frozen, and misspelt names get suggestions; reading of TOML files; ``--set``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Needy(Options):
     wanted: int
 
 
-def test_values_are_taken() -> None:
-    got = Outer.parse({"inner": {"step_s": 0.2}, "count": 3})
-    assert (got.inner.step_s, got.inner.name, got.count) == (0.2, "x", 3)
+def test_given_values_replace_defaults() -> None:
+    options = Outer.parse({"inner": {"step_s": 0.2}, "count": 3})
+    assert (options.inner.step_s, options.inner.name, options.count) == (0.2, "x", 3)
 
 
 def test_options_are_frozen() -> None:
@@ -60,7 +60,7 @@ def test_options_are_frozen() -> None:
         ({"inner.step_s": 1}, "run.toml: no option 'inner.step_s'; write it without quotation marks"),
     ],
 )
-def test_what_is_wrong_gets_one_sentence(values: dict[str, Any], sentence: str) -> None:
+def test_a_wrong_option_gets_one_sentence(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Outer.parse(values, "run.toml")
     assert str(caught.value).startswith(sentence)
@@ -99,7 +99,7 @@ def test_a_missing_option_is_named() -> None:
         Needy.parse({})
 
 
-def test_a_models_own_rule_speaks() -> None:
+def test_the_message_of_a_models_own_rule_is_shown() -> None:
     with pytest.raises(ConfigError, match=r"model_step_s = 0\.55 is no whole multiple of 0\.1"):
         SimOptions.parse({"model_step_s": 0.55})
 

@@ -1,4 +1,4 @@
-"""Pages that say what the code says, and links that lead somewhere."""
+"""Pages agree with the code, and the targets of links exist."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_every_link_leads_somewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [line for page in pages for line in tool("check_links").broken(page)] == []
 
 
-def test_the_page_on_the_code_shows_which_way_imports_go() -> None:
+def test_the_page_on_the_code_shows_the_import_order() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(x["layers"] for x in contracts if x["name"] == "Imports go one way")
     arrow = " → ".join(layers).replace("advdiff_sumo.", "").replace(" | ", ", ")
@@ -108,7 +108,7 @@ def test_the_changelog_knows_this_version() -> None:
 def test_the_page_of_defects_is_that_of_the_code_and_the_tables(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(ROOT / "tools")  # it reads the tables as write_results.py does
+    monkeypatch.syspath_prepend(ROOT / "tools")  # since it imports write_results.py
     monkeypatch.setattr(sys, "argv", ["write_defects_doc.py", "--check"])
     assert tool("write_defects_doc").main() == 0, capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""A name has one meaning in the package, so that a search for a word finds one thing."""
+"""Names of classes and files are unique in the package, so that a search finds one result."""
 
 from __future__ import annotations
 

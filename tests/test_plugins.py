@@ -1,4 +1,4 @@
-"""Names of plug-ins resolve in any case; unknown ones get a suggestion."""
+"""Names of plug-ins are resolved independently of case; unknown names get a suggestion."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_an_unknown_name_gets_a_suggestion() -> None:
     "name",
     ["no_such_module_here:X", "fractions:NoSuchClass", "fractions:", ":Fraction", "fractions:Fraction.no"],
 )
-def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
+def test_a_failed_import_gets_one_sentence(name: str) -> None:
     with pytest.raises(ConfigError, match=f"shape '{name}' cannot be imported: ") as caught:
         SHAPES.load(name)
     assert "\n" not in str(caught.value)
@@ -74,7 +74,7 @@ def test_what_cannot_be_imported_is_said_in_one_sentence(name: str) -> None:
         ("own_shape:Square", "No module named 'no_such_thing' (own_shape.py, line 1, <module>); correct it"),
     ],
 )
-def test_a_class_of_ones_own_that_is_given_wrongly_comes_with_a_remedy(
+def test_a_users_class_that_is_given_wrongly_gets_a_remedy(
     name: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_shape.py").write_text("import no_such_thing\n")
@@ -87,12 +87,12 @@ def test_a_class_of_ones_own_that_is_given_wrongly_comes_with_a_remedy(
     assert remedy.format(here=tmp_path.name) in str(caught.value)
 
 
-def test_an_address_is_no_class() -> None:
+def test_an_address_is_refused_as_a_class() -> None:
     with pytest.raises(ConfigError, match="cannot be reached: write it as grpc://HOST:PORT"):
         SHAPES.load("http://localhost:5999")
 
 
-def test_a_module_that_was_not_found_comes_with_where_to_start() -> None:
+def test_a_module_that_is_not_found_gets_a_hint_on_the_folder() -> None:
     with pytest.raises(ConfigError, match=r"start in the folder of no_such\.py or put that on PYTHONPATH"):
         SHAPES.load("no_such.part:X")
     with pytest.raises(
@@ -117,14 +117,14 @@ def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert SHAPES.described()["Their_Planner"] == "plug-in fractions:Fraction"
 
 
-def test_a_plugin_takes_no_built_ins_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_plugin_does_not_replace_a_built_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install("lane_graph = decimal:Decimal", monkeypatch, tmp_path)
     assert SHAPES.load("lane_graph") is Fraction
     assert SHAPES.described() == {"lane_graph": "fractions:Fraction", "IDM": "math:tau"}
 
 
 @pytest.mark.parametrize("registry", [TARGETS, POLICIES])
-def test_every_built_in_says_what_it_is(registry: Registry) -> None:
+def test_every_built_in_has_a_description(registry: Registry) -> None:
     described = registry.described()
     assert list(described)[: len(registry.builtins)] == list(registry.builtins)
     assert not [name for name, source in registry.builtins.items() if described[name] == source]

@@ -1,4 +1,4 @@
-"""``ads.convert`` gives the same results as the command, with the same options."""
+"""``ads.convert`` has the same options and results as the command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_every_option_of_the_command_is_one_of_the_function() -> None:
 
 
 def test_the_same_files_as_the_command(tmp_path: Path) -> None:
-    """With streets beyond the rim, return edges, guessed lights and crossings, OpenDRIVE, report and driving test."""
+    """Both use streets beyond the rim, return edges, guessed signals and crossings, OpenDRIVE, report and test."""
     hd_map, osm = road_both_ways(tmp_path), town().write(tmp_path / "town.osm")
     words = ("--osm", osm, "--close-rim", "--tls", "guess", "--crossings", "guess", "--opendrive", "--report")
     more = ("--drive", 5, "--seed", 3, "--righthand")
@@ -66,7 +66,9 @@ def test_the_same_files_as_the_command(tmp_path: Path) -> None:
         ({"tls_cycle": "many"}, "tls_cycle = 'many'"),
     ],
 )
-def test_options_that_there_are_not(options: dict[str, object], problem: str, tmp_path: Path) -> None:
+def test_unknown_options_and_values_are_refused(
+    options: dict[str, object], problem: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError, match=problem) as caught:
         ads.convert(road_both_ways(tmp_path), tmp_path / "n", **options)
     assert "\n" not in str(caught.value)

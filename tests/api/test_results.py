@@ -1,4 +1,4 @@
-"""The Python API: runs, their results, and what these show in a notebook."""
+"""The Python API: runs, their results, and their display in a notebook."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SCENE = {"warmup_s": 10.0, "scenes_per_warmup": 2, "min_neighbours": 1}
 
 
 class Accelerates:
-    """A user's planner, which is neither a plug-in nor named."""
+    """A user's planner, which is given as an object."""
 
     def __init__(self, accel_mps2: float) -> None:
         self.accel_mps2 = accel_mps2
@@ -37,7 +37,7 @@ class Accelerates:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> ads.Results:
-    """Two short episodes of a planner that is given as an object."""
+    """Return two short episodes of a planner that is given as an object."""
     out = tmp_path_factory.mktemp("api") / "run"
     return ads.run(target=Accelerates(2.0), episodes=2, horizon_s=4.0, scene=SCENE, out=out, seed=1)
 
@@ -62,7 +62,7 @@ def test_a_name_gives_the_bytes_of_the_command(tmp_path: Path) -> None:
         assert (tmp_path / "api" / path).read_bytes() == (tmp_path / "cli" / path).read_bytes()
 
 
-def test_what_results_show(results: ads.Results) -> None:
+def test_display_of_results(results: ads.Results) -> None:
     again = ads.load(results.folder)
     assert len(again) == again.episodes.num_rows == 2
     summary = again.summary()
@@ -81,7 +81,7 @@ def test_what_results_show(results: ads.Results) -> None:
     assert again.report().path == results.folder / "report.html"
 
 
-def test_what_is_not_there_is_said_in_one_sentence(results: ads.Results, tmp_path: Path) -> None:
+def test_missing_things_get_one_sentence(results: ads.Results, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="has no episode 7; it has 0 to 1"):
         results.episode(7)
     with pytest.raises(FileError, match="no such table; known are: collisions, episodes"):
@@ -184,7 +184,7 @@ def test_a_sweep(tmp_path: Path) -> None:
     assert swept.worst().figure().axes
 
 
-def test_the_import_brings_nothing_heavy() -> None:
+def test_the_import_loads_no_large_library() -> None:
     code = (
         "import sys, advdiff_sumo; "
         "print({'numpy', 'torch', 'matplotlib', 'pyarrow', 'libsumo', 'shapely'} & set(sys.modules))"
@@ -195,5 +195,5 @@ def test_the_import_brings_nothing_heavy() -> None:
 
 def test_names_that_the_package_lacks() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'runn'"):
-        _ = ads.runn  # type: ignore[attr-defined]  # that is what is tested
+        _ = ads.runn  # type: ignore[attr-defined]  # this is what the test checks
     assert {"run", "sweep", "load", "convert"} <= set(dir(ads))

@@ -16,7 +16,7 @@ ads.sweep({"episodes": 1, "horizon_s": 1.0, "grid": grid}, workers=1, progress=F
 """
 
 
-def test_its_workers_begin_no_sweeps_and_say_what_is_missing(tmp_path: Path) -> None:
+def test_workers_start_no_sweeps_and_name_the_missing_line(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SCRIPT)
     done = subprocess.run(
         [sys.executable, "script.py"],

@@ -1,4 +1,4 @@
-"""Where ``evaluate`` cannot write its figures it says so before it judges for minutes."""
+"""``evaluate`` checks that it can write its figures before it judges for minutes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from advdiff_sumo.core.errors import FileError
 
 
 class JudgedError(Exception):
-    """The judging began."""
+    """Judging has begun."""
 
 
 @pytest.fixture
 def judge(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return the verb's end, in which judging raises :class:`JudgedError`."""
+    """Return the last part of the verb as a function of *out*; judging raises :class:`JudgedError`."""
 
     def begin(*_: object) -> None:
         raise JudgedError
@@ -27,7 +27,7 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Any:
     return lambda out: judge_and_show(None, None, None, None, out)
 
 
-def test_a_place_that_is_none_is_refused_first(judge: Any, tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_refused_first(judge: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"cannot be written \(Not a directory\); choose another --out"):
         judge(tmp_path / "file" / "figures.json")
@@ -37,6 +37,6 @@ def test_a_place_that_is_none_is_refused_first(judge: Any, tmp_path: Path) -> No
         judge(tmp_path)
 
 
-def test_a_file_in_a_folder_is_judged_for(judge: Any, tmp_path: Path) -> None:
+def test_judging_begins_if_the_file_can_be_written(judge: Any, tmp_path: Path) -> None:
     with pytest.raises(JudgedError):
         judge(tmp_path / "figures.json")

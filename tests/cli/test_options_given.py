@@ -1,4 +1,4 @@
-"""Options of a file, with those of the command line and ``--set`` on top."""
+"""Options of a file are overridden by those of the command line and ``--set``."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from advdiff_sumo.core.errors import ConfigError
 def given(
     place: Path, content: str, policy: dict[str, Any], *assign: str, defects: list[str] | None = None
 ) -> Any:
-    """Return the options of a file with *content* and a command."""
+    """Return the options given by a file with *content* and a command line."""
     path = place / "c.toml"
     path.write_text(content)
     return options_given(path, {}, policy, [*assign], defects)
 
 
-def test_what_the_command_names_is_added_to_the_tables_of_the_file(tmp_path: Path) -> None:
+def test_options_of_the_command_are_added_to_the_tables_of_the_file(tmp_path: Path) -> None:
     file = "[target_options]\ntau = 1.5\n[background_options]\nstrength = 0.5\nattack = 'cut-in'\n"
     options = given(
         tmp_path, file, {"strength": 1.0, "guide": None}, "target_options.accel=2", defects=["late"]
@@ -37,7 +37,7 @@ def test_what_the_command_names_is_added_to_the_tables_of_the_file(tmp_path: Pat
         ("target_options = 'x'", {}, ["late"]),
     ],
 )
-def test_a_plain_value_where_a_table_belongs_is_one_sentence(
+def test_a_plain_value_instead_of_a_table_gets_one_sentence(
     tmp_path: Path, content: str, policy: dict[str, Any], defects: list[str] | None
 ) -> None:
     name, _, value = content.partition(" = ")
@@ -54,9 +54,7 @@ def test_a_plain_value_where_a_table_belongs_is_one_sentence(
         ("target_options.x=[[0.0], [nan]]", "target_options: x = [[0.0], [nan]]: give finite numbers"),
     ],
 )
-def test_numbers_that_no_file_of_results_can_hold_are_refused(
-    tmp_path: Path, assignment: str, words: str
-) -> None:
+def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, assignment: str, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         given(tmp_path, "", {}, assignment)
     assert str(caught.value).endswith(f"c.toml: {words}")

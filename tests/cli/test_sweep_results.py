@@ -1,4 +1,4 @@
-"""Tables of a sweep's results."""
+"""Tables of the results of a sweep."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from advdiff_sumo.cli.sweep_results import _print_findings, print_worst
 from advdiff_sumo.sweep.findings import findings
 
 
-def test_targets_that_differ_by_their_options_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+def test_targets_with_different_options_are_distinguished(capsys: pytest.CaptureFixture[str]) -> None:
     row = {"key": "a1", "target": "my:P", "background": "replay", "background_options": '{"max_gap_s":2.0}'}
     row |= {"end": "horizon", "target_collision": False, "min_ttc_s": None, "min_clearance_m": 2.0}
     options = ('{"defects":["late:strong"]}', "{}")
@@ -22,7 +22,7 @@ def test_targets_that_differ_by_their_options_are_told_apart(capsys: pytest.Capt
     assert cells == [["my:P defects:[late:strong]", "replay max_gap_s:2.0"], ["my:P", "replay max_gap_s:2.0"]]
 
 
-def test_configurations_of_one_planner_are_targets_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+def test_configurations_of_one_planner_are_different_targets(capsys: pytest.CaptureFixture[str]) -> None:
     places = {f"{what}_{way}_m": 1.0 for what in ("impact", "approach") for way in ("ahead", "left")}
     row = {
         **places,

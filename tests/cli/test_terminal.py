@@ -1,4 +1,4 @@
-"""Tables in a pipe: no narrower than what stands in them; text comes out as it is."""
+"""Tables in a pipe are as wide as their contents; text is printed unchanged."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def _piped(columns: str | None) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_a_pipe_has_whole_words() -> None:
+def test_words_are_not_broken_in_a_pipe() -> None:
     assert any("k" * 60 in line and "w" * 60 in line for line in _piped(None))
 
 
-def test_asked_for_width_is_kept() -> None:
+def test_the_width_of_columns_is_used() -> None:
     lines = _piped("80")
     assert max(map(len, lines)) == 80
     assert not any("k" * 60 in line for line in lines)
 
 
-def test_brackets_and_colons_are_no_markup() -> None:
+def test_brackets_and_colons_are_not_markup() -> None:
     text = "runs/[red] ü [/lane] :smile:"
     sink = io.StringIO()
     console = terminal(file=sink, force_terminal=True, color_system=None)

@@ -1,12 +1,12 @@
-"""Fenced blocks of the pages, what a comment before one says about testing it, and the commands inside.
+"""Read the fenced blocks of the pages: how they are tested, and their commands.
 
 A comment on the line before a block says how it is tested::
 
-    <!-- test: skip, REASON -->      its options are checked, it is not run
-    <!-- test: slow, REASON -->      the same, but run where ADVDIFF_DOCS=all
-    <!-- test: data -->              run where ADVDIFF_DATA names the real data
-    <!-- test: weights -->           run where trained weights ship with the package
-    <!-- test: file my_planner.py --> not a command: the block is written to that file for the commands after it
+    <!-- test: skip, REASON -->      its options are checked, but it is not run
+    <!-- test: slow, REASON -->      the same, but it is run if ADVDIFF_DOCS=all
+    <!-- test: data -->              run if ADVDIFF_DATA names the real data
+    <!-- test: weights -->           run if the package has trained weights
+    <!-- test: file my_planner.py --> not a command: the block is written to that file for later commands
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Block:
 
     Attributes:
         page: file, relative to the repository.
-        line: where its fence opens.
-        language: as written behind the fence.
-        code: what stands inside.
-        mark: how it is tested; empty: run.
+        line: line of the opening fence.
+        language: word after the fence.
+        code: contents.
+        mark: how it is tested; "": it is run.
         rest: the reason, or the name of the file.
     """
 
@@ -51,7 +51,7 @@ class Block:
 
     @property
     def script(self) -> str:
-        """The commands, without prompts and, in ``console``, without what they print."""
+        """The commands; for ``console``, without prompts and output."""
         if self.language != "console":
             return self.code
         lines = self.code.splitlines()
@@ -59,9 +59,9 @@ class Block:
 
 
 def pages() -> list[str]:
-    """Return all pages that hold commands, those that others build on first."""
-    named = ["README.md", "CONTRIBUTING.md", "docs/tour.md"]
-    return [*named, *sorted({f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")} - {*named})]
+    """Return all pages with commands; those whose results other pages use come first."""
+    first = ["README.md", "CONTRIBUTING.md", "docs/tour.md"]
+    return [*first, *sorted({f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")} - {*first})]
 
 
 def blocks(page: str) -> list[Block]:
@@ -76,18 +76,18 @@ def blocks(page: str) -> list[Block]:
 
 
 def shell_blocks() -> list[Block]:
-    """Return every block of commands of every page."""
+    """Return all blocks of commands of all pages."""
     return [block for page in pages() for block in blocks(page) if block.language in SHELL]
 
 
 def inline_commands(page: str) -> list[list[str]]:
-    """Return the commands that stand in the running text of *page*."""
+    """Return the commands in the running text of *page*."""
     prose = _BLOCK.sub("", (ROOT / page).read_text(encoding="utf-8"))
     return [shlex.split(command) for command in _INLINE.findall(prose)]
 
 
 def commands(script: str) -> list[list[str]]:
-    """Return the words of each simple command of *script*: no comments, redirections or settings before it."""
+    """Return the words of each simple command of *script*, without comments, redirections and assignments."""
     found: list[list[str]] = []
     for line in _logical_lines(_HEREDOC.sub(r"\2", script)):
         words: list[str] = []
@@ -101,18 +101,18 @@ def commands(script: str) -> list[list[str]]:
 
 
 def _logical_lines(script: str) -> list[str]:
-    """Join lines that a backslash or an open quote holds together."""
-    lines, held = [], ""
+    """Return the lines of *script*; those connected by a backslash or an open quote are joined."""
+    lines, pending = [], ""
     for line in script.replace("\\\n", " ").splitlines():
-        held = f"{held}\n{line}" if held else line
+        pending = f"{pending}\n{line}" if pending else line
         try:
-            shlex.split(held, comments=True)
+            shlex.split(pending, comments=True)
         except ValueError:
             continue
-        lines.append(held)
-        held = ""
-    if held:
-        raise ValueError(f"a quote stays open: {held}")
+        lines.append(pending)
+        pending = ""
+    if pending:
+        raise ValueError(f"a quote stays open: {pending}")
     return lines
 
 
@@ -123,7 +123,7 @@ def _tokens(line: str) -> list[str]:
 
 
 def _bare(words: list[str]) -> list[str]:
-    """Return *words* up to the first redirection, without assignments in front."""
+    """Return *words* up to the first redirection, without leading assignments."""
     kept = words[: next((i for i, word in enumerate(words) if word in {"<", ">", ">>"}), len(words))]
     while kept and _ASSIGNMENT.match(kept[0]):
         kept = kept[1:]

@@ -1,4 +1,4 @@
-"""What commands exist, and with which options: words of a command in, what is wrong with it out."""
+"""Check the words of a command: whether the command exists, with these options."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from advdiff_sumo.training.presets import STAGES, preset
 from tests.docs.blocks import ROOT
 
 OTHERS = {".", "apt-get", "cat", "cd", "cmake", "cmp", "git", "pip", "ray", "setup.sh"}
-"""Programs that are not ours; what they are called with is not looked at."""
+"""Programs by others; their arguments are not checked."""
 
 
 def leaf(words: list[str]) -> tuple[Any, list[str]]:
-    """Return the command behind ``advdiff-sumo`` that *words* name, and the words after its name.
+    """Return the command of ``advdiff-sumo`` that *words* name, and the words after its name.
 
     Raises:
-        KeyError: no such verb.
+        KeyError: there is no such verb.
     """
     command, rest = typer.main.get_command(app), list(words[1:])
     while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
@@ -35,13 +35,13 @@ def leaf(words: list[str]) -> tuple[Any, list[str]]:
 
 
 def options_of(command: Any) -> set[str]:
-    """Return every option that *command* takes."""
+    """Return all options of *command*."""
     named = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     return {name for name in named if name.startswith("-")} | {"--help", "-h"}
 
 
 def problem(words: list[str]) -> str:
-    """Return what is wrong with a command; empty where nothing is."""
+    """Return what is wrong with a command; "" if nothing is."""
     program = words[0].rpartition("/")[2]
     if program == "advdiff-sumo":
         return _ours(words)
@@ -69,14 +69,14 @@ def _ours(words: list[str]) -> str:
 
 
 def _check_values(verb: str, values: dict[str, Any]) -> None:
-    """Look at names and settings that the parser takes as plain text.
+    """Check names and settings that the parser accepts as any text.
 
     Raises:
         AdvdiffError: a target, background, exporter or net is unknown, or a setting is refused.
     """
     for key, registry in (("target", TARGETS), ("background", POLICIES), ("formats", EXPORTERS)):
         if (verb, key) == ("verdict", "target"):
-            continue  # there it is a road user of the file
+            continue  # for verdict, it is a road user of the file
         for name in _listed(values.get(key)):
             if name != "all" and ":" not in name:
                 registry.canonical(name)
@@ -94,12 +94,12 @@ def _check_values(verb: str, values: dict[str, Any]) -> None:
 
 
 def _listed(value: str | list[str] | None) -> list[str]:
-    """Return the names of an option that takes one or several."""
+    """Return the values of an option as a list."""
     return [value] if isinstance(value, str) else value or []
 
 
 def _python(words: list[str]) -> str:
-    """Check scripts and tests by their files, and a script's options by its source."""
+    """Check that scripts and tests exist, and that a script's options occur in its source."""
     if words[:1] == ["-m"]:
         module, words = words[1], words[2:]
         if module.startswith("tests."):

@@ -1,4 +1,4 @@
-"""Every command in the pages exists as it is written, and those that need nothing from outside run.
+"""Every command in the pages exists with its options; commands that need nothing else are run.
 
 ADVDIFF_DOCS=all runs the slow ones, too.
 """
@@ -61,7 +61,7 @@ def test_commands_in_the_text_exist(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", pages())
-def test_blocks_say_what_they_are(page: str) -> None:
+def test_blocks_have_a_known_language(page: str) -> None:
     for block in blocks(page):
         assert block.language in (*SHELL, "python", "toml"), place(block)
         if block.language == "toml":
@@ -96,15 +96,15 @@ def test_a_stale_command_is_noticed(words: str, what: str, monkeypatch: pytest.M
     assert what in problem(shlex.split(words))
 
 
-def test_scripts_are_taken_apart_as_a_shell_would() -> None:
+def test_scripts_are_split_into_commands_as_by_a_shell() -> None:
     script = "A=1 x --a 'b > c' > out  # no\ncat > f <<'END'\ny z\nEND\np \\\n q && r \"s\nt\"\n"
     assert commands(script) == [["x", "--a", "b > c"], ["cat"], ["p", "q"], ["r", "s\nt"]]
 
 
 class Workshop:
-    """A folder like a checkout, in which pages are worked through.
+    """A folder like a checkout, in which the commands of pages are run.
 
-    Commands of the README start as they are installed, those of the other pages from a process that has imported.
+    Commands of the README are started as installed; those of other pages from a process that has imported everything.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -112,7 +112,7 @@ class Workshop:
         self.done: set[str] = set()
         for name in ("examples", "scenarios", "tools", "networks"):
             (folder / name).symlink_to(ROOT / name)
-        self._bring_a_net()
+        self._write_net_and_demand()
         programs = Path(sys.executable).parent
         self.environment = {
             **os.environ,
@@ -124,15 +124,15 @@ class Workshop:
         (folder / ".programs").mkdir()
         self.warm.write_program(folder / ".programs")
 
-    def _bring_a_net(self) -> None:
-        """Put there what the pages call *my.net.xml*, and a demand for it."""
+    def _write_net_and_demand(self) -> None:
+        """Write the net that the pages call *my.net.xml*, and a demand for it."""
         net = shutil.copy(ROOT / "networks" / "downtown-left.net.xml", self.folder / "my.net.xml")
         (self.folder / "my.net.xml.gz").write_bytes(gzip.compress(net.read_bytes()))
         road = RoadMap.read(net)
         write_demand(road, SceneOptions(), 600.0, SeedTree(0), self.folder / "my.rou.xml")
 
     def work_through(self, page: str) -> None:
-        """Run what is to be run of *page*, once."""
+        """Run the commands of *page* unless they have been run already."""
         if page in self.done:
             return
         self.done.add(page)
@@ -143,7 +143,7 @@ class Workshop:
                 self.run(block, warm=page != "README.md")
 
     def run(self, block: Block, *, warm: bool) -> None:
-        """Run the commands of *block*; the first that fails ends it."""
+        """Run the commands of *block*; fail at the first error."""
         programs = f"{self.folder / '.programs'}{os.pathsep}" if warm else ""
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block.script],
@@ -159,7 +159,7 @@ class Workshop:
 
 
 def runs(block: Block) -> bool:
-    """Whether *block* can be run here."""
+    """Return whether *block* is run in this environment."""
     return {
         "skip": False,
         "slow": EVERYTHING,
@@ -181,6 +181,6 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
     "page", [p for p in pages() if any(b.language in SHELL and runs(b) for b in blocks(p))]
 )
 def test_the_page_can_be_worked_through(page: str, workshop: Workshop) -> None:
-    workshop.work_through("README.md")  # its first run is what other pages look at
+    workshop.work_through("README.md")  # other pages use its first run
     workshop.work_through(page)
     assert (workshop.folder / "runs" / "first" / "report.html").is_file()

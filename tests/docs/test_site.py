@@ -1,4 +1,4 @@
-"""The site: built once, complete, and silent towards the outside."""
+"""The site is complete, and loads nothing from other servers; it is built once for all tests."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_nothing_is_loaded_from_outside(site: Path) -> None:
 
 
 def test_lists_and_tables_are_lists_and_tables(site: Path) -> None:
-    """The site's Markdown wants a blank line before a list; hosting sites do not, so nobody would notice."""
+    """The site's Markdown needs a blank line before a list; code-hosting sites do not, so errors are easily missed."""
     for page, article in articles(site).items():
         for _, inner in _TEXT.findall(re.sub(r"<pre.*?</pre>|<code.*?</code>", "", article, flags=re.DOTALL)):
             text = unescape(re.sub(r"<[^>]+>", "", inner))
@@ -125,17 +125,17 @@ def test_it_opens_from_the_disk_and_searches_offline(site: Path, width: int) -> 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no Chromium here: apt-get install chromium")
-    troubles: list[str] = []
+    problems: list[str] = []
 
-    def asked(request: Any) -> None:
+    def check_request(request: Any) -> None:
         if not request.url.startswith(("file:", "data:", "blob:")):
-            troubles.append(request.url)
+            problems.append(request.url)
 
     with playwright.sync_playwright() as started:
         browser = started.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         page = browser.new_context(viewport={"width": width, "height": 900}, offline=True).new_page()
-        page.on("request", asked)
-        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on("request", check_request)
+        page.on("pageerror", lambda error: problems.append(str(error)))
         page.goto((site / "index.html").as_uri())
         page.keyboard.press("/")
         page.keyboard.type("encroachment")
@@ -143,4 +143,4 @@ def test_it_opens_from_the_disk_and_searches_offline(site: Path, width: int) -> 
         found = page.locator(".md-search-result__item a").first.get_attribute("href")
         browser.close()
     assert "encroachment" in found or "metrics" in found
-    assert troubles == []
+    assert problems == []

@@ -1,4 +1,4 @@
-"""What a planner in a process of its own must do: drive soundly, and the same way again."""
+"""Check that a planner in a separate process drives soundly, and in the same way when run again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class DrivenTwice:
     """Two runs of the same command.
 
     Attributes:
-        first, again: the files that must be the same.
+        first, again: files of the two runs, which must be equal.
         episodes: rows of the first run.
     """
 
@@ -25,7 +25,7 @@ class DrivenTwice:
     episodes: list[dict[str, Any]]
 
     def unsound(self, least_m: float) -> list[dict[str, Any]]:
-        """Return the episodes that failed, left the road, or came no farther than *least_m* along the route."""
+        """Return the episodes in which it failed, left the road, or drove at most *least_m* along the route."""
         return [
             row
             for row in self.episodes
@@ -36,7 +36,7 @@ class DrivenTwice:
 
 
 def driven_twice(target: str, horizon_s: int, *options: str, folder: Path) -> DrivenTwice:
-    """Drive two episodes with *target*, twice, in *folder*."""
+    """Run two episodes with *target* twice, in *folder*."""
     words = ("run", *TINY, "--target", target, "--episodes", 2, "--horizon", horizon_s, *options)
     for out in ("one", "two"):
         done = advdiff(*words, "--out", out, cwd=folder)

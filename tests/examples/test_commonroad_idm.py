@@ -1,4 +1,4 @@
-"""The third-party planner of ``examples`` drives, where its package is installed."""
+"""The third-party planner of ``examples`` drives, if its package is installed."""
 
 from __future__ import annotations
 

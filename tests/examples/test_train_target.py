@@ -1,4 +1,4 @@
-"""The training example: what it makes of returns, by hand, and one tiny run of it."""
+"""The training example: statistics of returns against values worked by hand, and one tiny run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def example(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.fixture
 def ended(example: ModuleType) -> Callable[..., Any]:
-    """Return a maker of episodes that ended at a step with a return."""
+    """Return a function (step, return) → finished episode."""
     return lambda step, reward: example.EpisodeReturn(step, reward, 10, "horizon")
 
 

@@ -1,4 +1,4 @@
-"""The adapters of TU Munich's planners: lines, predictions and stops by hand; the servers where they are installed."""
+"""The adapters of TU Munich's planners against values worked by hand; the servers, if they are installed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FOLDER = REPOSITORY / "examples/tum_planners"
 
 @pytest.fixture
 def modules(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
-    """Return what imports the adapters' modules by name, as their servers do."""
+    """Return a function that imports the adapters' modules by name, as the servers do."""
     monkeypatch.syspath_prepend(FOLDER)
     return importlib.import_module
 
@@ -61,7 +61,7 @@ def link(from_lane: str, to_lane: str, signal: str | None = None) -> KitLink:
 
 
 def street() -> KitRoad:
-    """Return two lanes of 100 m, of which only the left one leads on, past a signal, for another 100 m."""
+    """Return two lanes of 100 m; only the left one continues, after a signal, for another 100 m."""
     lanes = (
         lane("a_0", 0.0, (0.0, 100.0), left="a_1"),
         lane("a_1", 3.2, (0.0, 100.0), link("a_1", "b_0", "light")),
@@ -90,7 +90,7 @@ def scene(*cars: tuple[float, float, float, float], letter: str = "G") -> Scene:
     return Scene(tracks, 0, np.zeros(len(cars), dtype=np.bool_), routes, {"light": letter})
 
 
-def test_the_line_is_that_of_the_lane_that_leads_on(modules: Callable[[str], ModuleType]) -> None:
+def test_the_line_is_that_of_the_lane_that_continues(modules: Callable[[str], ModuleType]) -> None:
     line = modules("reference_line").reference_line(street(), scene((20.0, 0.0, 0.0, 8.0)), 150.0)
     assert line.xy_m[:, 1] == pytest.approx(3.2)
     assert line.xy_m[int(line.s_m)] == pytest.approx([20.0, 3.2], abs=0.6)
@@ -101,14 +101,14 @@ def test_the_line_is_that_of_the_lane_that_leads_on(modules: Callable[[str], Mod
 
 def test_a_red_light_bounds_the_speed(modules: Callable[[str], ModuleType]) -> None:
     line = modules("reference_line").reference_line(street(), scene((80.0, 3.2, 0.0, 8.0), letter="r"), 150.0)
-    gap = 100.0 - 80.0 - 0.5 * 4.5 - 1.0  # to a metre before the line, from the front
+    gap = 100.0 - 80.0 - 0.5 * 4.5 - 1.0  # from the front bumper to a metre before the stop line
     assert line.desired_mps(4.5) == pytest.approx(np.sqrt(2.0 * 2.0 * gap), abs=0.15)
 
 
 @pytest.mark.parametrize(
     ("letter", "x_m", "stops"), [("y", 60.0, True), ("y", 95.0, False), ("g", 60.0, False)]
 )
-def test_a_yellow_light_holds_who_can_stop(
+def test_a_vehicle_that_can_stop_stops_at_yellow(
     modules: Callable[[str], ModuleType], letter: str, x_m: float, stops: bool
 ) -> None:
     line = modules("reference_line").reference_line(
@@ -129,7 +129,7 @@ def test_a_bend_of_ten_metres_allows_the_root_of_twenty(modules: Callable[[str],
     )
 
 
-def test_others_keep_lane_side_and_speed(modules: Callable[[str], ModuleType]) -> None:
+def test_others_keep_lane_offset_and_speed(modules: Callable[[str], ModuleType]) -> None:
     prediction, road = modules("prediction"), street()
     now = scene((0.0, 0.0, 0.0, 8.0), (20.0, 3.7, 0.0, 5.0), (30.0, 20.0, 1.0, 4.0), (40.0, 0.0, 0.0, 0.0))
     poses, sizes = prediction.predicted_poses(road, prediction.lane_segments(road), now, 10, 0.1)
@@ -141,14 +141,14 @@ def test_others_keep_lane_side_and_speed(modules: Callable[[str], ModuleType]) -
 
 
 @given(st.tuples(*[st.floats(-1e3, 1e3)] * 2), st.floats(-7.0, 7.0), st.tuples(*[st.floats(-100, 100)] * 2))
-def test_the_own_frame_is_left_as_it_was_entered(place: Any, yaw: float, point: Any) -> None:
+def test_transforming_to_the_own_frame_and_back_changes_nothing(place: Any, yaw: float, point: Any) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(FOLDER)
         frame = importlib.import_module("adapter").OwnFrame(np.array(place), yaw)
     assert frame.to_world(frame.from_world(np.array(point))) == pytest.approx(np.array(point), abs=1e-9)
 
 
-def test_the_own_frame_looks_ahead(modules: Callable[[str], ModuleType]) -> None:
+def test_x_of_the_own_frame_points_ahead(modules: Callable[[str], ModuleType]) -> None:
     frame = modules("adapter").OwnFrame(np.array([1.0, 2.0]), 0.5 * np.pi)
     assert frame.from_world(np.array([1.0, 5.0])) == pytest.approx([3.0, 0.0])
     assert frame.from_world(np.array([0.0, 2.0])) == pytest.approx([0.0, 1.0])  # to the left
@@ -163,7 +163,7 @@ def test_an_emergency_stop_by_hand(modules: Callable[[str], ModuleType]) -> None
     assert stop.speed_mps[9:] == pytest.approx(0.0)
 
 
-def test_a_plan_is_that_of_the_centre_and_remembered(modules: Callable[[str], ModuleType]) -> None:
+def test_a_plan_is_for_the_centre_and_is_remembered(modules: Callable[[str], ModuleType]) -> None:
     adapter, road, now = modules("adapter"), street(), scene((20.0, 3.2, 0.0, 8.0))
     memory = adapter.started(road)
     task = adapter.task_now(road, now, memory)

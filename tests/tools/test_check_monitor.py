@@ -1,4 +1,4 @@
-"""Why our safe distance and the monitor's disagree, on values worked by hand."""
+"""Reasons why our safe distance and the monitor's disagree, on values worked by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The prior over planners: what a made-up population of known spread comes back as."""
+"""The prior over planners, fitted to an invented population with known variances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from failure_prior import fit_prior
 
 
 def population(planners: int, seed: int = 0) -> list[tuple[FloatArray, FloatArray]]:
-    """Return what planners did that differ in the third feature alone: half fail where it is 1, half nowhere."""
+    """Return encounters of planners that differ only in the third feature: half of them fail if it is 1."""
     rng = np.random.default_rng(seed)
     met = []
     for number in range(planners):
@@ -28,14 +28,14 @@ def population(planners: int, seed: int = 0) -> list[tuple[FloatArray, FloatArra
     return met
 
 
-def test_what_planners_differ_in_has_the_largest_variance() -> None:
+def test_the_feature_in_which_planners_differ_has_the_largest_variance() -> None:
     prior = fit_prior(population(30), 2, -3.0)
     assert np.argmax(np.diag(prior.covariance)) == 2
     assert prior.mean[:2] == pytest.approx([-3.0, -3.0], abs=1.0)
 
 
 def test_one_encounter_tells_which_planner_it_is() -> None:
-    """A failure, or none, where the third feature is 1 is expected of the other kind too; nothing changes elsewhere."""
+    """An encounter with the third feature changes predictions for all kinds, but only for that feature."""
     prior = fit_prior(population(30), 2, -3.0)
     met, like, unlike = (np.array([row]) for row in ([1.0, 0, 1, 0], [0.0, 1, 1, 0], [1.0, 0, 0, 0]))
     failed, resolved = prior.adapted(met, np.ones(1)), prior.adapted(met, np.zeros(1))
@@ -51,7 +51,7 @@ def test_the_mean_encounter_of_each_kind() -> None:
     assert prior.typical.tolist() == [[1.0, 0.0, 0.5, 3.0], [0.0, 1.0, 0.5, 3.0]]
 
 
-def test_it_is_made_again_to_the_byte() -> None:
+def test_the_same_encounters_give_the_same_bytes() -> None:
     first, second = (fit_prior(population(5), 2, -3.0) for _ in range(2))
     assert first.covariance.tobytes() == second.covariance.tobytes()
 

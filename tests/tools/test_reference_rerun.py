@@ -1,4 +1,4 @@
-"""An episode that one planner begins and another one ends."""
+"""An episode in which a second planner takes over from the first one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from reference_src.reference_rerun import handed_over
 
 
-def test_a_planner_elsewhere_is_told_of_the_end_after_it_was_taken_over_from() -> None:
+def test_an_external_planner_is_informed_of_the_end_after_the_takeover() -> None:
     scene = {"warmup_s": 8.0, "scenes_per_warmup": 1, "min_neighbours": 0}
     run = Run.prepare(RunOptions.parse({"net": "motorway", "horizon_s": 1.0, "seed": 3, "scene": scene}))
     Told.ends.clear()

@@ -1,4 +1,4 @@
-"""The picture of a net, of nets that the shipped ones are unlike."""
+"""Pictures of nets that differ from the shipped ones."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_net_of_single_lanes(tmp_path: Path) -> None:
     assert drawn(net).startswith(b"\x89PNG")
 
 
-def test_a_lane_with_a_notch_narrower_than_it_is_wide(tmp_path: Path) -> None:
+def test_a_lane_with_a_bend_narrower_than_its_width(tmp_path: Path) -> None:
     (tmp_path / "n.nod.xml").write_text(NODES, encoding="utf-8")
     (tmp_path / "e.edg.xml").write_text(NOTCHED, encoding="utf-8")
     net = tmp_path / "notch.net.xml"

@@ -1,4 +1,4 @@
-"""What the soak must notice, by hand-worked states, and one place of it from end to end."""
+"""The soak finds faults in states worked by hand; one place is run from end to end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> RoadMap:
 
 
 def two_eastbound(gap_m: float) -> States:
-    """Two cars of 5 m × 1.8 m in the right eastbound lane (y = −4.8), *gap_m* apart, both at 10 m/s."""
+    """Return two cars of 5 m × 1.8 m in the right eastbound lane (y = −4.8), *gap_m* apart, both at 10 m/s."""
     x = 100.0 + SPEED_MPS * STEP_S * np.arange(STEPS)
     xy = np.stack([np.stack((x + ahead, np.full(STEPS, -4.8)), -1) for ahead in (0.0, 5.0 + gap_m)])
     ones = np.ones((2, STEPS))
@@ -53,7 +53,7 @@ def two_eastbound(gap_m: float) -> States:
 
 
 def moved(states: States, dx: float, dy: float, since: int) -> States:
-    """Put the other aside from step *since* on."""
+    """Return *states* with the other vehicle shifted from step *since* on."""
     xy = states.xy_m.copy()
     xy[1, since:] += (dx, dy)
     return replace(states, xy_m=xy)
@@ -82,8 +82,8 @@ def test_a_jump_in_position_speed_or_heading_is_named(road: RoadMap) -> None:
     assert "jump in heading of 'other' by 0.50 rad after step 5" in [*problems(turned, road, [])]
 
 
-def test_a_recording_may_leap_in_speed_as_it_does_in_way(road: RoadMap) -> None:
-    """From 10 m/s to 14 m/s at once, 0.4 m more a step and 0.2 m more in the step between: jitter of an annotation."""
+def test_a_recorded_speed_may_jump_with_the_distance_travelled(road: RoadMap) -> None:
+    """The speed jumps from 10 m/s to 14 m/s, and the positions agree, as with jitter of an annotation."""
     states = two_eastbound(10.0)
     xy, speed = states.xy_m.copy(), states.speed_mps.copy()
     speed[1, 6:] = 14.0
@@ -92,7 +92,7 @@ def test_a_recording_may_leap_in_speed_as_it_does_in_way(road: RoadMap) -> None:
     assert [*problems(faster, road, [])] == ["jump in speed of 'other' by 4.00 m/s after step 5"]
     recorded = replace(faster, recorded=np.ones((2, STEPS), dtype=bool))
     assert [*problems(recorded, road, [])] == []
-    wrong = replace(recorded, xy_m=states.xy_m)  # goes 10 m/s all the time, and says 14
+    wrong = replace(recorded, xy_m=states.xy_m)  # moves at 10 m/s, but the recorded speed is 14 m/s
     assert [*problems(wrong, road, [])] == ["jump in speed of 'other' by 4.00 m/s after step 6"]
 
 
@@ -106,7 +106,7 @@ def test_nan_and_a_sumo_vehicle_beside_all_lanes_are_named(road: RoadMap) -> Non
 
 
 def test_a_lane_may_be_wide(tmp_path: Path) -> None:
-    """Lanes of 16 m from y = 0 to −16: 7.5 m beside the centre line is on the lane, 8.5 m is not."""
+    """The lane extends from y = 0 to −16 m, so that 7.5 m beside its centre line is on the lane, and 8.5 m is not."""
     edges = nets.STREET[1].replace('numLanes="2"', 'numLanes="1" width="16"')
     wide = RoadMap.read(nets.build(tmp_path, nets.STREET[0], edges, name="wide"))
     states = two_eastbound(10.0)
@@ -125,7 +125,7 @@ SLANTED = """<edges>
 
 
 def test_a_lane_change_between_lanes_of_unequal_length_is_sumos_own_jump(tmp_path: Path) -> None:
-    """Lanes drawn 190 m and 180 m long, both 195 m for SUMO: at 130 m of these they are at x = 127 and x = 120."""
+    """The shapes of the lanes are 190 m and 180 m long, but SUMO's length is 195 m; 130 m is at x = 127 and x = 120."""
     net = nets.build(tmp_path, nets.STREET[0], SLANTED, name="slanted")
     lengths = RoadMap.read(net)
     places, lanes = [], []
@@ -147,7 +147,7 @@ def test_a_lane_change_between_lanes_of_unequal_length_is_sumos_own_jump(tmp_pat
     excess = float(np.hypot(*(xy[1, 5] - xy[1, 4]))) - 1.0
     assert excess > 5.0
     most = carried_m(lengths, xy[1, 4] + (2.5, 0.0), 1.0)[1]
-    # the same change of lane backwards: on by 1 m, not back by 1 m
+    # the same lane change in the opposite direction moves the vehicle by +1 m instead of −1 m
     assert most == pytest.approx(excess + 2.0, abs=0.5)
     assert [*problems(jumped, lengths, [])] == []
     moved_by_us = replace(jumped, sumo_course=np.zeros((2, STEPS), dtype=bool))
@@ -171,7 +171,7 @@ def test_contacts_must_be_those_of_the_boxes(road: RoadMap) -> None:
 
 
 @pytest.mark.parametrize("name", OSM_MAPS)
-def test_a_map_of_openstreetmaps_form_becomes_a_net(tmp_path: Path, name: str) -> None:
+def test_an_openstreetmap_file_is_converted_to_a_net(tmp_path: Path, name: str) -> None:
     write_osm_net(name, tmp_path / f"{name}.net.xml")
     road = RoadMap.read(tmp_path / f"{name}.net.xml")
     assert road.edge_graph().strongly_connected()
@@ -185,10 +185,10 @@ def test_a_map_of_openstreetmaps_form_becomes_a_net(tmp_path: Path, name: str) -
 
 
 @pytest.mark.slow
-def test_a_soak_that_is_interrupted_goes_on(tmp_path: Path) -> None:
-    """Ctrl-C in the first place; the second time the rest is driven.
+def test_an_interrupted_soak_can_be_continued(tmp_path: Path) -> None:
+    """Ctrl-C interrupts the first place; the second call runs the remaining episodes.
 
-    There are so many episodes that some are left however long it takes to see the first one.
+    There are enough episodes that some remain even if it takes long to notice the first one.
     """
     words = [sys.executable, str(TOOLS / "soak.py"), str(tmp_path), "--episodes", "4", "--horizon", "1"]
     words += ["--seeds", "0", "--workers", "1", "--places", "osm-roundabout", "osm-signals"]
@@ -211,7 +211,7 @@ def test_a_soak_that_is_interrupted_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_place_is_driven_and_driven_again_without_doing_it_twice(tmp_path: Path) -> None:
+def test_a_second_call_does_not_repeat_finished_episodes(tmp_path: Path) -> None:
     words = [sys.executable, str(TOOLS / "soak.py"), str(tmp_path), "--episodes", "1", "--horizon", "1"]
     words += ["--seeds", "0", "--workers", "1", "--places", "downtown", "--backgrounds", "sumo", "replay"]
     first = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)

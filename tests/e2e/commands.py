@@ -1,4 +1,4 @@
-"""Commands as a user types them, in processes of their own, and what they leave on disk."""
+"""Run commands as a user types them, in separate processes, and read the files that they write."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TINY = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a command ended.
+    """Result of a command.
 
     Attributes:
         code: exit code.
@@ -39,14 +39,22 @@ class Outcome:
 
 
 def environment(hash_seed: int = 0) -> dict[str, str]:
-    """Return this process's environment, with another order of Python's sets."""
+    """Return the environment of this process with *hash_seed*, which determines the order of Python's sets."""
     return {**os.environ, "PYTHONHASHSEED": str(hash_seed), "COLUMNS": "100", "NO_COLOR": "1"}
 
 
 def advdiff(
     *words: object, cwd: Path, hash_seed: int = 0, program: tuple[str, ...] = MODULE, narrow: bool = True
 ) -> Outcome:
-    """Run a command to its end, in 100 columns, or with tables as wide as what is in them."""
+    """Run a command to its end.
+
+    Args:
+        words: its arguments.
+        cwd: working folder.
+        hash_seed: determines the order of Python's sets.
+        program: the program; that of the package is forked from a process that has imported everything.
+        narrow: whether output has 100 columns; else tables are as wide as their contents.
+    """
     variables = environment(hash_seed)
     if not narrow:
         del variables["COLUMNS"]
@@ -65,8 +73,8 @@ def advdiff(
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-#: What may differ between a command and the process it is forked from: what is read late, what commands set themselves,
-#: and what SUMO, pyproj and PyTorch set in this process when a test imports them.
+#: Variables that may differ between a command and the process from which it is forked: they are read after imports,
+#: or are set by commands or by SUMO, pyproj and PyTorch when a test imports them.
 _READ_LATE = frozenset(
     {
         *("COLUMNS", "PYTEST_CURRENT_TEST", "TMPDIR", *VARIABLES),
@@ -77,37 +85,37 @@ _READ_LATE = frozenset(
 
 @cache
 def _started(hash_seed: int) -> WarmStart:
-    """Return the process that commands with this order of Python's sets are forked from, begun once."""
-    begun = WarmStart(environment(hash_seed))
-    atexit.register(begun.end)
-    return begun
+    """Return the process from which commands with *hash_seed* are forked; it is started once."""
+    process = WarmStart(environment(hash_seed))
+    atexit.register(process.end)
+    return process
 
 
 def _warm_start(variables: dict[str, str], hash_seed: int) -> WarmStart | None:
-    """Return the process that a command is forked from, or None for one in another environment: it starts cold."""
-    kept = _started(hash_seed).environment
-    changed = {name for name in kept.keys() | variables.keys() if kept.get(name) != variables.get(name)}
+    """Return the process from which a command is forked; None if the environment differs and it must start normally."""
+    base = _started(hash_seed).environment
+    changed = {name for name in base.keys() | variables.keys() if base.get(name) != variables.get(name)}
     return _started(hash_seed) if changed <= _READ_LATE else None
 
 
 def begin(*words: object, cwd: Path, hash_seed: int = 0) -> subprocess.Popen[str]:
-    """Start a command; Ctrl-C reaches it also where the tests were started in the background, deaf to it."""
+    """Start a command; it receives Ctrl-C even if the tests run in the background and ignore it."""
     pipe = subprocess.PIPE
     command = [*MODULE, *map(str, words)]
-    heard = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:  # a handler of Python's own becomes the default in the new process, "ignored" would stay
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:  # the new process gets the default handler in place of Python's, but would inherit "ignored"
         env = environment(hash_seed)
         return subprocess.Popen(command, cwd=cwd, env=env, stdout=pipe, stderr=pipe, text=True)
     finally:
-        signal.signal(signal.SIGINT, heard)
+        signal.signal(signal.SIGINT, previous)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
-    """Return the files that the same options and seed must give again."""
+    """Return the contents of the files that are the same for the same options and seed."""
     return {name: (folder / name).read_bytes() for name in SAME_BYTES}
 
 
 def everything(folder: Path) -> dict[str, bytes | None]:
-    """Return all that lies in *folder*: files with their content, folders; Python's own caches left out."""
-    found = (path for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
-    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in found}
+    """Return path → content of all files and folders (None) in *folder*, except Python's caches."""
+    paths = (path for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in paths}

@@ -1,4 +1,4 @@
-"""Nets, planners and finished runs that the commands are tried on."""
+"""Nets, planners and finished runs for tests of the commands."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Broken:
 
 @pytest.fixture(scope="session")
 def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A net of nine junctions with two-lane streets."""
+    """Return a net of nine junctions with two-lane streets."""
     net = tmp_path_factory.mktemp("grid") / "grid.net.xml"
     shape = ["--grid", "--grid.number", "3", "--grid.length", "100", "--grid.attach-length", "100"]
     command = [sumolib.checkBinary("netgenerate"), *shape, "--default.lanenumber", "2", "-o", str(net)]
@@ -82,7 +82,7 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def workplace(tmp_path: Path, grid: Path) -> Path:
-    """A folder with a net and a user's own planners."""
+    """Return a folder with a net and a user's planners."""
     (tmp_path / "grid.net.xml").write_bytes(grid.read_bytes())
     (tmp_path / "our_planners.py").write_text(PLANNERS)
     return tmp_path
@@ -92,7 +92,7 @@ def workplace(tmp_path: Path, grid: Path) -> Path:
 def here(
     workplace: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., Outcome]:
-    """Return a function that runs a command in this process, in the workplace: a process takes seconds to start."""
+    """Return a function that runs a command in the workplace, in this process, since new ones take seconds to start."""
     monkeypatch.chdir(workplace)
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(workplace)])
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -101,10 +101,10 @@ def here(
     def run(*words: object) -> Outcome:
         monkeypatch.setattr(sys, "argv", ["advdiff-sumo", *map(str, words)])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
+        with pytest.raises(SystemExit) as exit_info:
             main()
         out, err = capsys.readouterr()
-        code = left.value.code
+        code = exit_info.value.code
         return Outcome(code if isinstance(code, int) else 0, out, err)
 
     yield run
@@ -113,7 +113,7 @@ def here(
 
 @pytest.fixture
 def refused(here: Callable[..., Outcome], workplace: Path) -> Callable[..., str]:
-    """Return a function that runs a command which must be refused, and returns the sentence."""
+    """Return a function that runs a command, checks that it is refused and changes no file, and returns the error."""
 
     def run(*words: object) -> str:
         before = everything(workplace)
@@ -125,7 +125,7 @@ def refused(here: Callable[..., Outcome], workplace: Path) -> Callable[..., str]
 
 
 def sentence(outcome: Outcome) -> str:
-    """Return the one line that a refusal says."""
+    """Return the error message of a refused command, which must be one line."""
     assert outcome.code == 2, outcome
     assert "Traceback" not in outcome.err + outcome.out
     lines = outcome.err.splitlines()
@@ -136,7 +136,7 @@ def sentence(outcome: Outcome) -> str:
 
 @pytest.fixture(scope="session")
 def downtown_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tiny run on the shipped downtown."""
+    """Return the folder of a tiny run on the shipped downtown."""
     folder = tmp_path_factory.mktemp("downtown")
     done = advdiff("run", "--episodes", 2, *TINY, "--out", "first", cwd=folder)
     assert done.code == 0, done.err

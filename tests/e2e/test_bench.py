@@ -1,4 +1,4 @@
-"""``bench`` as a user types it: small tables, a kill in between, printing what is finished, and refusals."""
+"""``bench`` as a user types it: small tables, continuing after a kill, printing finished tables, and refusals."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ STEADY = ("table.csv", "differences.csv", "table.json")
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A list of four seed scenes of which two come from each of two warm-ups."""
+    """Return a list of four seed scenes, two from each of two warm-ups."""
     return _scene_list(tmp_path_factory.mktemp("scenes") / "four.json", 4)
 
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A list of the two seed scenes of one warm-up."""
+    """Return a list of two seed scenes of one warm-up."""
     return _scene_list(tmp_path_factory.mktemp("scenes") / "two.json", 2)
 
 
@@ -61,7 +61,7 @@ def test_a_bench_that_was_killed_goes_on_and_ends_with_the_same_bytes(scenes: Pa
 
     printed = advdiff(
         "bench", "adversarial", "--out", "whole", cwd=tmp_path
-    )  # what was asked for is remembered
+    )  # the request is stored in the folder
     assert printed.code == 0, printed.err
     assert "to do" not in printed.out
     assert "Adversarial traffic, closed loop: 4 seed scenes, 3 s" in printed.out

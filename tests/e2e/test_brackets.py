@@ -1,4 +1,4 @@
-"""Names, paths and messages with square brackets, in which Rich would see colours, come out as they are."""
+"""Names, paths and messages with square brackets, which Rich could take for markup, are printed unchanged."""
 
 from __future__ import annotations
 

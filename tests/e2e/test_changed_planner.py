@@ -1,4 +1,4 @@
-"""What a sweep or run that goes on says of a planner whose file has changed since it was begun."""
+"""A resumed sweep or run prints a note if the file of the planner has changed since it was begun."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ NOTE = "note: the file of onward:Onward has changed since this was begun"
 
 
 @pytest.mark.parametrize("verb", ["sweep", "run"])
-def test_episodes_of_two_versions_of_a_planner_are_told(
+def test_a_note_says_that_the_planner_has_changed(
     workplace: Path, here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch, verb: str
 ) -> None:
-    monkeypatch.delitem(sys.modules, "onward", raising=False)  # of the other case
+    monkeypatch.delitem(sys.modules, "onward", raising=False)  # imported by the other case of this test
     (workplace / "onward.py").write_text(PLANNER)
     (workplace / "small.toml").write_text(SWEEP)
     options = ("--net", "grid.net.xml", "--target", "onward:Onward", "--horizon", "1", "--out", "made")

@@ -1,4 +1,4 @@
-"""``advdiff-sumo check-planner`` as a user meets it."""
+"""``advdiff-sumo check-planner`` as a user types it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from tests.e2e.commands import Outcome
 
 
-def test_a_planner_that_draws_by_itself_and_breaks_its_plans_is_told_so(here: Callable[..., Outcome]) -> None:
+def test_own_random_numbers_and_invalid_plans_are_reported(here: Callable[..., Outcome]) -> None:
     done = here(
         "check-planner", "our_planners:NotANumber", "--net", "grid.net.xml", "--episodes", 1, "--horizon", 4
     )

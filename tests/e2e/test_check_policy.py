@@ -1,4 +1,4 @@
-"""``advdiff-sumo check-policy`` as a user meets it."""
+"""``advdiff-sumo check-policy`` as a user types it."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ QUICK = ("--net", "grid.net.xml", "--episodes", 1, *TINY)
 
 @pytest.fixture
 def folder(workplace: Path) -> Path:
-    """A folder with a net and a user's own policies."""
+    """Return a folder with a net and a user's policies."""
     (workplace / "our_policies.py").write_text(POLICIES)
     return workplace
 
 
-def test_a_policy_that_moves_whom_it_may_not_is_told_so(folder: Path) -> None:
+def test_a_plan_for_a_vehicle_that_must_not_be_moved_is_reported(folder: Path) -> None:
     done = advdiff("check-policy", "our_policies:Everybody", *QUICK, cwd=folder)
     assert done.code == 1, done.err
     rows = [re.split(r"\s{2,}", line.strip()) for line in done.out.splitlines()]

@@ -1,4 +1,4 @@
-"""Collisions run again with a careful driver in the target's place, by the tool."""
+"""``tools/check_closed_loop.py``: collisions are repeated with a careful driver in the target's place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def checked(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_collisions_of_a_run(tmp_path: Path, here: Callable[..., Outcome]) -> None:
-    """A planner that sees 2 m runs into those ahead; who takes over from it seconds before does not."""
+    """A planner that sees only 2 m ahead runs into others; the driver that takes over seconds before does not."""
     out = tmp_path / "run"
     asked = ["--target", "lane_graph", "--defect", "range:2", "--episodes", "2", "--horizon", "15"]
     asked += ["--set", "scene.density_per_km=20", "--set", "scene.warmup_s=20", "--out", out]

@@ -52,7 +52,7 @@ def test_simulate_then_stats(tmp_path: Path) -> None:
         (("stats", "empty"), "empty: holds no window file"),
     ],
 )
-def test_bad_input_is_one_sentence_and_leaves_nothing(
+def test_bad_input_gets_one_sentence_and_leaves_no_files(
     tmp_path: Path, words: tuple[str, ...], said: str
 ) -> None:
     (tmp_path / "file").write_text("no windows")
@@ -68,7 +68,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_windows_of_the_far_view_need_networks_that_see_as_far(tmp_path: Path) -> None:
+def test_windows_of_the_far_view_need_networks_for_that_view(tmp_path: Path) -> None:
     words = ("data", "simulate", "--out", "w", "--windows", 4, "--net", "motorway", "--random-share", 0)
     done = advdiff(*words, "--map-view", "far", "--workers", 1, cwd=tmp_path)
     assert done.code == 0, done.err

@@ -73,7 +73,7 @@ def test_a_defect_that_cannot_be_planted_gets_a_sentence(
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A list of four seed scenes of dense traffic."""
+    """Return a list of four seed scenes of dense traffic."""
     path = tmp_path_factory.mktemp("scenes") / "four.json"
     scene = SceneOptions(
         warmup_s=10.0, scenes_per_warmup=4, spacing_s=2.0, density_per_km=10.0, max_vehicles=60
@@ -83,7 +83,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
+def test_detections_of_a_users_own_test(scenes: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "from advdiff_sumo.planners.lane_graph import LaneGraphPlanner\n\n\nclass Mine(LaneGraphPlanner):\n    pass\n"
     )
@@ -97,7 +97,7 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
     assert (row["background"], row["target"], row["scenes"]) == ("sumo", "mine:Mine", "4")
     assert (
         int(row["failures"]) == int(row["only_defect"]) > 0
-    )  # 3.5 m to the right is off the road or in another lane
+    )  # the defect shifts the vehicle by 3.5 m to the right, off the road or into another lane
     printed = advdiff(*words, "--defect", "localisation:3.5", *more, cwd=tmp_path)
     assert "to do" not in printed.out
     assert "localisation:3.5" in printed.out
@@ -106,12 +106,12 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
     with (tmp_path / "mine.py").open("a") as file:
         file.write("# mended\n")
     said: list[str] = []
-    for _ in range(2):  # the second time all is printed only
+    for _ in range(2):  # the second call only prints the results
         grown = advdiff(*words, "--defect", "localisation:3.5", "--defect", "late", *more, cwd=tmp_path)
         assert grown.code == 0, grown.err
         assert "the file of mine:Mine has changed since this was begun" in grown.err
         said.append(grown.out)
-    assert "; 4 to do" in said[0]  # what is there already stays
+    assert "; 4 to do" in said[0]  # finished episodes are kept
     both = _detections(tmp_path / "seen")
     assert list(both) == ["localisation:3.5", "late:strong"]
     assert both["localisation:3.5"]["failures"] == row["failures"]
@@ -135,14 +135,14 @@ def test_what_a_users_own_test_can_see(scenes: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_users_own_net_is_asked_and_too_few_scenes_are_told(grid: Path, tmp_path: Path) -> None:
+def test_a_users_own_net_is_used_and_too_few_scenes_are_reported(grid: Path, tmp_path: Path) -> None:
     words = ("defects", "--net", str(grid), "--background", "scripted", "--licence", "lawful", *TINY)
     more = ("--set", "background_options.attack=hard-stop", "--workers", "1")
     one = (*words, *more, "--defect", "localisation:3.5")
     first = advdiff(*one, "--scenes", "2", cwd=tmp_path)
     assert first.code == 0, first.err
     few = "2 seed scenes are too few to detect the defect planted in lane_graph"
-    assert first.out.count(few) == 1  # before the first episode; the note below the table would be the second
+    assert first.out.count(few) == 1  # printed before the first episode, and not again below the table
     assert first.out.index(few) < first.out.index("6 episodes in 3 cells")
     folder = tmp_path / "runs" / "defects-lane_graph-grid"
     assert few in (folder / "table.md").read_text()
@@ -187,7 +187,7 @@ def test_a_users_own_net_is_asked_and_too_few_scenes_are_told(grid: Path, tmp_pa
         (("--scenes", "301"), "--scenes 301: the list has 300"),
     ],
 )
-def test_what_defects_cannot_be_asked(
+def test_unusable_options_of_defects_are_refused(
     words: tuple[str, ...], said: str, here: Callable[..., Outcome]
 ) -> None:
     done = here("defects", *words, "--out", "out")

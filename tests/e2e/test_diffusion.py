@@ -29,7 +29,7 @@ def test_a_guided_run_its_check_and_its_repetition(weights: Path, tmp_path: Path
     assert "vehicles that the policy moved did something implausible" in " ".join(done.out.split())
     assert "the safeguard changed what is driven next of" in " ".join(done.out.split())
     settings = (tmp_path / "first" / "run.toml").read_text()
-    assert f'weights = "{weights}"' in settings  # where it is, so that the run can be repeated from anywhere
+    assert f'weights = "{weights}"' in settings  # absolute, so that the run can be repeated from any folder
     again = advdiff("run", "--config", "first/run.toml", "--out", "again", cwd=tmp_path, hash_seed=1)
     assert again.code == 0, again.err
     for name in SAME_BYTES:
@@ -81,5 +81,7 @@ def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_warm_up_that_cannot_be(weights: Path, tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+def test_an_impossible_warm_up_is_refused(
+    weights: Path, tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
     assert said in sentence(advdiff("warmup", "--licence", "reckless", *words, cwd=tmp_path))

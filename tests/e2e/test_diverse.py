@@ -1,4 +1,4 @@
-"""``sweep --diverse``: kinds of attack and seed scenes chosen in rounds, the same however it is run."""
+"""``sweep --diverse`` chooses attacks and seed scenes in rounds; the choice does not depend on how it is run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def sweep_file(folder: Path, episodes: int, background: str = "scripted") -> Non
     (folder / "wide.toml").write_text(SWEEP.format(episodes=episodes, background=background))
 
 
-def test_what_cannot_be_diverse_is_refused(workplace: Path, here: Callable[..., Outcome]) -> None:
+def test_sweeps_that_cannot_be_diverse_are_refused(workplace: Path, here: Callable[..., Outcome]) -> None:
     sweep_file(workplace, 2, "sumo")
     refused = here("sweep", "wide.toml", "--diverse", "--dry-run")
     assert refused.code == 2
@@ -44,7 +44,7 @@ def test_what_cannot_be_diverse_is_refused(workplace: Path, here: Callable[..., 
 
 @pytest.mark.slow
 def test_the_same_episodes_however_it_is_run(workplace: Path, here: Callable[..., Outcome]) -> None:
-    """Ten episodes in rounds of eight: with one worker, with two, and with a break in the middle of a round."""
+    """Run ten episodes in rounds of eight with one worker, with two, and with an interruption within a round."""
     sweep_file(workplace, 10)
     one = here("sweep", "wide.toml", "--diverse", "--executor", "serial", "--out", "one")
     assert one.code == 0, one.err
@@ -77,7 +77,7 @@ def test_the_same_episodes_however_it_is_run(workplace: Path, here: Callable[...
 
 
 @pytest.mark.slow
-def test_a_dry_run_counts_what_is_asked_for(workplace: Path, here: Callable[..., Outcome]) -> None:
+def test_a_dry_run_counts_the_requested_episodes(workplace: Path, here: Callable[..., Outcome]) -> None:
     sweep_file(workplace, 3)
     dry = here("sweep", "wide.toml", "--diverse", "--dry-run")
     assert dry.code == 0, dry.err

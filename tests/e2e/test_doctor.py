@@ -1,4 +1,4 @@
-"""The doctor finds this installation usable, and faults that are put into it."""
+"""The doctor finds that this installation is usable, and finds faults that tests put into it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_this_installation_drives(tmp_path: Path) -> None:
     assert everything(tmp_path) == {}
 
 
-def test_a_problem_is_told_with_its_remedy(
+def test_a_problem_is_printed_with_its_remedy(
     here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ADVDIFF_DATA", "/no/such/folder")
@@ -35,7 +35,7 @@ def test_a_problem_is_told_with_its_remedy(
 
 
 def states(check: Callable[[], object]) -> dict[str, tuple[CheckState, str, str]]:
-    """Return what a check found, by topic."""
+    """Return topic → (state, text, hint) of the findings of a check."""
     return {finding.topic: (finding.state, finding.text, finding.hint) for finding in check()}  # type: ignore[attr-defined]
 
 

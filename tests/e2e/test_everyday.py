@@ -1,4 +1,4 @@
-"""Quiet runs, results for programs, lists, logs, and SUMO configurations."""
+"""Quiet runs, JSON results, lists, logs, and SUMO configurations."""
 
 from __future__ import annotations
 
@@ -62,9 +62,7 @@ def test_names_beyond_ascii_are_read_in_the_plain_locale_too(
     assert done == Outcome(0, "", "")
 
 
-def test_what_a_planner_prints_is_told_unless_one_wants_it_quiet(
-    here: Callable[..., Outcome], workplace: Path
-) -> None:
+def test_output_of_a_planner_is_shown_unless_quiet(here: Callable[..., Outcome], workplace: Path) -> None:
     (workplace / "talker.py").write_text(
         "from our_planners import Still\n\n"
         "class Talks(Still):\n"
@@ -75,7 +73,7 @@ def test_what_a_planner_prints_is_told_unless_one_wants_it_quiet(
     assert here(*run, "--quiet", "--out", "b") == Outcome(0, "", "")
 
 
-def test_what_failed_is_run_again_with_a_mended_planner(workplace: Path) -> None:
+def test_failed_episodes_are_run_again_with_a_corrected_planner(workplace: Path) -> None:
     mended = (
         "from our_planners import LaneGraphPlanner\n\n"
         "class Ours(LaneGraphPlanner):\n"
@@ -103,7 +101,7 @@ def test_what_failed_is_run_again_with_a_mended_planner(workplace: Path) -> None
     assert runs[0] == runs[1]
 
 
-def test_a_gate_is_shut_where_no_episode_finished(workplace: Path, here: Callable[..., Outcome]) -> None:
+def test_fail_if_fails_if_no_episode_finished(workplace: Path, here: Callable[..., Outcome]) -> None:
     (workplace / "sweep.toml").write_text(SWEEP.replace("IDM", "our_planners:Raises"))
     sweep = ("sweep", "sweep.toml", "--executor", "serial", "--no-report", "--out")
     assert here(*sweep, "open").code == 0
@@ -125,7 +123,7 @@ def test_a_planner_that_takes_other_arguments_is_refused_at_once(
     assert not (workplace / "run").exists()
 
 
-def test_nothing_is_retried_that_is_begun_anew(here: Callable[..., Outcome]) -> None:
+def test_retry_failed_needs_resume(here: Callable[..., Outcome]) -> None:
     assert "add --resume" in sentence(here(*RUN, "--retry-failed", "--out", "run"))
     assert "add --resume" in sentence(here("sweep", "sweep.toml", "--retry-failed"))
 

@@ -1,4 +1,4 @@
-"""Episodes of a run in other formats, and a run that starts from one of them."""
+"""Export of episodes in other formats, and a run that starts from an exported file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FILES = {
 
 @pytest.fixture(scope="session")
 def exported(downtown_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The second episode of a run in every format."""
+    """Return a folder with the second episode of a run in every format."""
     folder = tmp_path_factory.mktemp("exported")
     words = ("--episode", 1, "--format", "all", "--out", folder)
     done = advdiff("export", downtown_run, *words, cwd=folder)

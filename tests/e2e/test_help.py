@@ -1,4 +1,4 @@
-"""What the commands say about themselves."""
+"""Help texts and the version of the commands."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_nothing_is_cut_off_in_eighty_columns(
     words = said.replace("│", " ").split()
     assert [word for word in words if word.endswith("…") and word not in ("…", "scene.…", "sim.…")] == []
     lines = [line.strip() for line in said.split("╭")[0].splitlines()]
-    for line, after in pairwise(lines):  # within a paragraph each line is as full as the next word lets
+    for line, after in pairwise(lines):  # within a paragraph, a line ends only if the next word does not fit
         assert not (line and after) or len(line) + 1 + len(after.split()[0]) > 78
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and a kill in the middle of a run lose nothing that had finished."""
+"""After Ctrl-C or a kill in the middle of a run, all finished episodes are kept."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class EndlessTraffic(SumoTraffic):
 
 @pytest.fixture(scope="module")
 def undisturbed(grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run to compare with."""
+    """Return an uninterrupted run to compare with."""
     folder = _place(grid, tmp_path_factory.mktemp("undisturbed"))
     done = advdiff(*RUN, cwd=folder)
     assert done.code == 0, done.err
@@ -56,7 +56,7 @@ def undisturbed(grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def waiting(grid: Path, tmp_path: Path) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
-    """A run in its third episode of four, and the folder that it works in."""
+    """Yield the working folder and the process of a run that is in its third episode of four."""
     folder = _place(grid, tmp_path)
     (folder / "hold").touch()
     process = begin(*RUN, cwd=folder, hash_seed=2)
@@ -88,7 +88,7 @@ def test_ctrl_c_keeps_what_has_finished(
 
 
 @pytest.mark.slow
-def test_a_run_that_is_told_to_end_ends_as_by_ctrl_c(
+def test_sigterm_ends_a_run_in_the_same_way_as_ctrl_c(
     waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path
 ) -> None:
     folder, process = waiting
@@ -115,7 +115,7 @@ def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> Non
 
 
 def test_ctrl_c_while_a_text_is_executed(grid: Path, tmp_path: Path) -> None:
-    """As dataclasses do while a package is imported: Python remembers the exception though it is caught."""
+    """Dataclasses execute texts during imports; Python then remembers the exception although it is caught."""
     (tmp_path / "impatient.py").write_text("exec('raise KeyboardInterrupt')\n")
     running = begin("run", "--net", grid, "--target", "impatient:Planner", "--out", "out", cwd=tmp_path)
     _, said = running.communicate(timeout=HANG_S)
@@ -140,13 +140,15 @@ def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None
         (("check-policy", "endless:EndlessTraffic"), signal.SIGINT),
     ],
 )
-def test_a_check_that_is_told_to_end_leaves_no_folder(
+def test_sigterm_in_a_check_leaves_no_folder(
     grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, check: tuple[str, str], by: signal.Signals
 ) -> None:
     folder = _place(grid, tmp_path)
     (folder / "endless.py").write_text(ENDLESS)
     words = ("--net", "grid.net.xml", "--episodes", "1", "--horizon", "2")
-    with tempfile.TemporaryDirectory() as temporary:  # the tests' own is too long for sockets
+    with (
+        tempfile.TemporaryDirectory() as temporary
+    ):  # the path of the tests' temporary folder is too long for sockets
         monkeypatch.setenv("TMPDIR", temporary)
         running = begin(*check, *words, cwd=folder)
         _interrupted_while_it_plans(running, folder, by)
@@ -157,7 +159,7 @@ def test_a_check_that_is_told_to_end_leaves_no_folder(
 def _interrupted_while_it_plans(
     running: subprocess.Popen[str], folder: Path, by: signal.Signals = signal.SIGINT
 ) -> str:
-    """Return what *running* says when it is interrupted once ``Endless`` plans in *folder*."""
+    """Interrupt *running* when ``Endless`` plans in *folder*, and return its output."""
     until = time.monotonic() + HANG_S
     while not (folder / "began").exists():
         assert running.poll() is None, running.communicate()
@@ -180,7 +182,7 @@ def test_a_killed_run_can_be_resumed(waiting: tuple[Path, subprocess.Popen[str]]
 
 
 def _reads_two_episodes(folder: Path) -> None:
-    """Check that what is left of the run can be judged and looked at."""
+    """Check that the two finished episodes of the run can be judged and reported."""
     judged = advdiff("verdict", "run", "--workers", 1, cwd=folder)
     assert (judged.code, judged.out.splitlines()[0]) == (
         0,

@@ -29,8 +29,8 @@ def test_a_licence_that_does_not_exist_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path) -> None:
-    """Nobody can cross the target's way on a motorway."""
+def test_a_run_reports_episodes_in_which_no_vehicle_could_attack(tmp_path: Path) -> None:
+    """On a motorway, no vehicle can cross the target's path."""
     words = (
         "run",
         "--net",
@@ -53,7 +53,7 @@ def test_a_run_says_where_nobody_was_in_a_position_for_the_attack(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_sweep_says_it_too(tmp_path: Path) -> None:
+def test_a_sweep_reports_them_too(tmp_path: Path) -> None:
     lines = (
         "episodes = 1",
         "horizon_s = 1.0",

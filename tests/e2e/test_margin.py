@@ -56,7 +56,7 @@ def test_what_has_no_severity_is_refused(words: tuple[str, ...], message: str, t
 
 
 @pytest.mark.slow
-def test_a_planner_that_raises_is_a_failure_and_no_wrong_input(tmp_path: Path) -> None:
+def test_a_planner_that_raises_is_a_failure_and_not_an_input_error(tmp_path: Path) -> None:
     (tmp_path / "av.py").write_text(RAISES, encoding="utf-8")
     done = advdiff("margin", *SCENE, "--target", "av:Raises", "--out", "m", cwd=tmp_path)
     assert (done.code, done.out) == (1, "")
@@ -64,7 +64,7 @@ def test_a_planner_that_raises_is_a_failure_and_no_wrong_input(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_where_nobody_could_attack_there_is_no_answer(tmp_path: Path) -> None:
+def test_there_is_no_margin_if_no_vehicle_could_attack(tmp_path: Path) -> None:
     words = ("--attack", "cut-out", "--horizon", "2", "--out", "m")
     done = advdiff("margin", *SCENE, *words, cwd=tmp_path)
     assert done.code == 1
@@ -79,7 +79,7 @@ def test_where_nobody_could_attack_there_is_no_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_failing_and_the_passing_neighbour_and_again(tmp_path: Path) -> None:
+def test_the_failing_and_the_passing_trial_and_a_second_call(tmp_path: Path) -> None:
     words = ("margin", *SCENE, "--defect", "weak-brakes:3", "--within", "4", "--out", "m")
     done = advdiff(*words, cwd=tmp_path)
     assert done.code == 0, done.err
@@ -130,7 +130,7 @@ def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
     for kind in (
         "crossing",
         "cut-out",
-    ):  # no junction is near, and the target is too fast to hide somebody from it
+    ):  # no junction is near, and the target is too fast for an occluded road user
         assert f"nobody was in a position for {kind}" in done.out
 
 

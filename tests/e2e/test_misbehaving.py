@@ -1,4 +1,4 @@
-"""A run goes on whatever a planner or a policy does, and says what it was, where, and how to repeat it."""
+"""A run continues whatever a planner or policy does, and reports the fault, its place and how to repeat it."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class IllFromTheStart:
 
 
 def at(code: str, function: str) -> str:
-    """Return how a message names the line of ``PLUG_INS`` that has *code*."""
+    """Return the text in messages for the line of ``PLUG_INS`` that contains *code*."""
     line = next(k for k, text in enumerate(PLUG_INS.splitlines(), 1) if code in text)
     return f"(ill.py, line {line}, {function})"
 
@@ -153,14 +153,14 @@ RUN = ("run", "--net", "grid.net.xml", *TINY)
 
 @pytest.fixture
 def place(grid: Path, tmp_path: Path) -> Path:
-    """A folder with a net and plug-ins that do all that they should not."""
+    """Return a folder with a net and misbehaving plug-ins."""
     (tmp_path / "grid.net.xml").write_bytes(grid.read_bytes())
     (tmp_path / "ill.py").write_text(PLUG_INS)
     return tmp_path
 
 
 def deeds_by_draw(seed: int) -> dict[str, str]:
-    """Return what the planner does in each episode, by the first number of the episode's generator."""
+    """Return first number of an episode's generator → deed of the planner in that episode."""
     root = SeedTree(seed)
     draws = (
         root.child("episode", "grid.net.xml", k).child("target").generator().random()
@@ -174,7 +174,7 @@ def rows_of(folder: Path, table: str = "episodes") -> list[dict[str, Any]]:
 
 
 def attempt(place: Path, words: tuple[object, ...], limit_s: float) -> Outcome | None:
-    """Run *words* into "run" with a limit for plans; None where a plan was late that does not hang."""
+    """Run *words* into "run" with a time limit for plans; return None if a healthy plan exceeded it."""
     shutil.rmtree(place / "run", ignore_errors=True)
     done = advdiff(*words, "--plan-timeout", limit_s, "--memory", 800, "--out", "run", cwd=place)
     kinds = [row["failure_kind"] for row in rows_of(place / "run")]
@@ -200,7 +200,9 @@ def test_every_deed_costs_its_own_episode_only(place: Path) -> None:
         target = states.filter((pc.field("episode") == row["episode"]) & pc.field("is_target"))
         steps = sorted(target["step"].to_pylist())
         assert steps == list(range(len(steps)))
-        assert len(steps) == 11 if row["end"] == "failed" else len(steps) > 11  # all up to the third plan
+        assert (
+            len(steps) == 11 if row["end"] == "failed" else len(steps) > 11
+        )  # all steps up to the third plan
     failures = {row["episode"]: row for row in RunFolder(place / "run").failures()}
     assert sorted(failures) == [row["episode"] for row in rows if row["end"] == "failed"]
     crashed, hung = failures[0], failures[7]
@@ -218,9 +220,11 @@ def test_every_deed_costs_its_own_episode_only(place: Path) -> None:
     well = rows_of(place / "well")
     assert well[1] == rows[1]
     whole = pq.read_table(place / "well" / "states.parquet")
-    for number in failures:  # what happened before the deed is what happens without it
+    for number in failures:  # before the deed, the episode is the same as without it
         told = states.filter(pc.field("episode") == number).to_pylist()
-        agents = {row["agent"] for row in told}  # the record keeps whoever comes near the target at any time
+        agents = {
+            row["agent"] for row in told
+        }  # the record has only agents that come near the target at some time
         until = whole.filter((pc.field("episode") == number) & (pc.field("step") <= 10)).to_pylist()
         assert told == [row for row in until if row["agent"] in agents]
 
@@ -237,7 +241,7 @@ def test_a_policy_that_crashes_and_where_every_episode_fails(place: Path) -> Non
 
 
 @pytest.mark.slow
-def test_where_a_planner_raised_stands_in_the_report_and_is_told_by_a_replay(place: Path) -> None:
+def test_report_and_replay_show_where_a_planner_raised(place: Path) -> None:
     deed = ("--target", "ill:Always", "--set", "target_options.deed=exit_")
     assert advdiff(*RUN, *deed, "--episodes", 1, "--out", "run", cwd=place).code == 1
     page = (place / "run" / "report.html").read_text(encoding="utf-8")
@@ -284,7 +288,7 @@ def test_one_episode_of_a_run_again(place: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("deed", CHECKED)
-def test_check_planner_says_what_a_planner_does(place: Path, deed: str) -> None:
+def test_check_planner_reports_the_deed(place: Path, deed: str) -> None:
     words = ("check-planner", "ill:Always", "--set", f"deed={deed}", "--net", "grid.net.xml")
     limit = ("--timeout", 40) if deed == "hang" else ()
     done = advdiff(*words, "--episodes", 1, "--horizon", 2, "--memory", 800, *limit, cwd=place)
@@ -296,7 +300,7 @@ def test_check_planner_says_what_a_planner_does(place: Path, deed: str) -> None:
 
 
 @pytest.mark.parametrize("command", [("check-planner",), ("run", "--target")])
-def test_a_planner_that_leaves_while_it_is_made(place: Path, command: tuple[str, ...]) -> None:
+def test_a_planner_that_exits_in_its_constructor(place: Path, command: tuple[str, ...]) -> None:
     done = advdiff(*command, "ill:CannotBeMade", cwd=place)
     assert (done.code, done.out) == (2, "")
     words = "error: target 'ill:CannotBeMade' cannot be made: SystemExit: 3"

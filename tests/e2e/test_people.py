@@ -1,4 +1,4 @@
-"""People on foot in runs, from the command line."""
+"""Pedestrians in runs, from the command line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_people_walk_in_a_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_people_on_a_net_without_crossings_are_one_sentence(tmp_path: Path) -> None:
+def test_people_on_a_net_without_crossings_are_refused(tmp_path: Path) -> None:
     done = advdiff("run", "--net", "downtown", "--episodes", 1, *PEOPLE, "--out", "run", cwd=tmp_path)
     assert done.code == 2
     said = " ".join(done.err.split())

@@ -1,4 +1,4 @@
-"""A user's own planner that fails fails its episodes; the run goes on."""
+"""If a user's planner fails, its episodes fail, and the run continues."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs on demand as it lies about: gzipped, behind a configuration, with ids that XML must escape."""
+"""Runs with unusual demand files: gzipped, given by a configuration, with ids that XML must escape."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.e2e.commands import advdiff
 
-LENGTH_M = 7.25  # of no type of SUMO's or ours
+LENGTH_M = 7.25  # no vehicle type of SUMO or ours has this length
 RENAMED = ("A0A1", "A0&lt;A1")
 TINY = ("--horizon", 2, "--episodes", 1, "--set", "scene.warmup_s=12", "--set", "scene.min_neighbours=0")
 TYPES = f'<additional><vType id="mine" length="{LENGTH_M}"/></additional>'
@@ -27,7 +27,7 @@ CONFIGURATION = """<configuration><input><net-file value="grid.net.xml.gz"/><rou
 
 @pytest.fixture
 def place(grid: Path, tmp_path: Path) -> Path:
-    """A folder with a net of a street whose id holds "<", and demand of vehicles 7.25 m long that use it."""
+    """Return a folder with a net with a street whose id contains "<", and demand of 7.25 m long vehicles on it."""
     net = grid.read_text()
     assert RENAMED[0] in net
     net = net.replace(*RENAMED)
@@ -44,7 +44,7 @@ def lengths_m(folder: Path) -> set[float]:
     return set(pq.read_table(folder / "states.parquet")["length_m"].to_pylist())
 
 
-def test_a_configuration_brings_gzipped_routes_types_and_stops_and_names_what_is_left_out(
+def test_a_configuration_provides_routes_types_and_stops_and_omissions_are_reported(
     place: Path,
 ) -> None:
     done = advdiff("run", "--net", "grid.sumocfg", *TINY, "--out", "run", cwd=place)
@@ -60,7 +60,7 @@ def test_a_configuration_brings_gzipped_routes_types_and_stops_and_names_what_is
 
 
 @pytest.mark.slow
-def test_gzipped_routes_by_themselves_are_demand(place: Path) -> None:
+def test_gzipped_routes_alone_are_demand(place: Path) -> None:
     routes = ROUTES.replace("<routes>", f'<routes><vType id="mine" length="{LENGTH_M}"/><!-- no stop -->')
     routes = routes[: routes.index('<flow id="stops"')] + "</routes>"
     (place / "own.rou.xml.gz").write_bytes(gzip.compress(routes.encode(), mtime=0))
@@ -74,7 +74,7 @@ def test_gzipped_routes_by_themselves_are_demand(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_says_once_what_it_leaves_out(place: Path) -> None:
+def test_a_sweep_reports_omissions_once(place: Path) -> None:
     net = '{ net = "grid.net.xml.gz", demand = "grid.sumocfg" }'
     grid = f'[grid]\nnets = [{net}]\ntargets = ["IDM", "Krauss"]\nbackgrounds = ["sumo"]\n'
     scene = "[scene]\nwarmup_s = 12.0\nmin_neighbours = 0\n"

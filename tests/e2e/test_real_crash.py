@@ -1,4 +1,4 @@
-"""Episodes on real nets in which a moved vehicle once ended SUMO."""
+"""Episodes on real nets in which a moved vehicle could crash SUMO."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCENE = ("warmup_s=20", "scenes_per_warmup=4", "min_neighbours=1", "min_route_m=
 def test_a_vehicle_that_leaves_the_road_on_a_junction_does_not_end_sumo(
     adv_data: Path, tmp_path: Path
 ) -> None:
-    """Guided traffic in which a car on the middle one of three lanes of a junction is taken out of SUMO at 1.9 s."""
+    """In guided traffic, a car on the middle one of three lanes of a junction is removed from SUMO at 1.9 s."""
     source = adv_data / "nuscenes-mini" / "maps" / "expansion" / "singapore-hollandvillage.json"
     done = advdiff("convert", source, "-o", "net.net.xml", "--righthand", cwd=tmp_path)
     assert done.code == 0, done.err

@@ -1,4 +1,4 @@
-"""Bad input: exit code 2, one sentence that names the culprit and the remedy, nothing lost or created."""
+"""Bad input: exit code 2, one sentence that names the cause and the remedy, and no file is lost or created."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STREET = '<nodes><node id="A" x="0" y="0"/><node id="B" x="100" y="0"/><node id=
 
 
 def _missing(said: str, *words: str) -> list[str]:
-    """Return those of *words* that the sentence *said* lacks, with the sentence."""
+    """Return the *words* that are missing in the sentence *said*, followed by the sentence."""
     return [f"{word!r} in {said!r}" for word in words if word not in said]
 
 
@@ -32,7 +32,7 @@ def _netconvert(folder: Path, edges: str) -> None:
     subprocess.run(command, check=True, capture_output=True, cwd=folder)
 
 
-def test_a_folder_of_temporary_files_that_sockets_do_not_fit_into(
+def test_a_temporary_folder_whose_path_is_too_long_for_sockets(
     workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     temporary = workplace / ("x" * 90)
@@ -146,9 +146,7 @@ def test_a_net_without_a_drivable_route(
     ],
     ids=lambda words: " ".join(words) if isinstance(words, tuple) and words[0].startswith("-") else "",
 )
-def test_an_option_that_cannot_be(
-    refused: Refused, words: tuple[str, ...], expected: tuple[str, ...]
-) -> None:
+def test_an_unusable_option(refused: Refused, words: tuple[str, ...], expected: tuple[str, ...]) -> None:
     assert not _missing(refused(*GRID, *words), *expected)
 
 
@@ -347,7 +345,7 @@ def test_a_map_that_cannot_be_converted(
     assert not _missing(refused("convert", *words), *expected)
 
 
-def test_several_lines_of_a_cause_are_one_line_for_the_user(
+def test_a_cause_of_several_lines_is_printed_in_one_line(
     here: Callable[..., Outcome], workplace: Path
 ) -> None:
     (workplace / "loud.py").write_text("raise RuntimeError('one\\ntwo')\n")

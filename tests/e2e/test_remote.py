@@ -1,4 +1,4 @@
-"""Targets in processes of their own, as a user starts them."""
+"""Targets in separate processes, as a user starts them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ COMMAND = f"exec:{sys.executable} our_server.py"
 
 
 def gone(folder: Path) -> bool:
-    """Return whether every server that noted itself in *folder* ends."""
+    """Return whether all servers that are noted in *folder* end."""
     pids = [int(line) for line in (folder / "servers").read_text().split()]
     assert pids
     for pid in pids:
@@ -66,7 +66,7 @@ def test_a_command_is_started_for_the_run_and_ended_with_it(workplace: Path) -> 
     assert gone(workplace)
 
 
-def test_a_planner_that_raises_over_there_is_a_failure_with_its_traceback(
+def test_a_remote_planner_that_raises_is_a_failure_with_its_traceback(
     here: Callable[..., Outcome], workplace: Path
 ) -> None:
     (workplace / "our_server.py").write_text(SERVER)

@@ -15,7 +15,7 @@ from tests.e2e.test_diffusion import MODEL
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["strive", "advsim"])
-def test_five_seconds_and_the_same_again(name: str, tmp_path: Path) -> None:
+def test_five_seconds_are_repeatable(name: str, tmp_path: Path) -> None:
     bundle = new_bundle(BundleOptions.parse({"model": MODEL}))
     save_bundle(bundle, tmp_path / "small.safetensors", ())
     save_simnet(new_simnet(bundle.options.model), tmp_path / "simnet.safetensors")

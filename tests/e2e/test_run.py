@@ -1,4 +1,4 @@
-"""``advdiff-sumo run`` on the shipped downtown: files, columns, and the same bytes again."""
+"""``advdiff-sumo run`` on the shipped downtown: files, columns, and repeatability."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.e2e.conftest import sentence
 ARROW = {"str": "string", "int64": "int64", "float64": "double", "bool": "bool"}
 
 
-def test_the_folder_holds_what_the_page_says(downtown_run: Path) -> None:
+def test_the_folder_has_the_documented_files(downtown_run: Path) -> None:
     names = {path.name for path in downtown_run.iterdir()}
     assert names == {"run.toml", "report.html", *(f"{table}.parquet" for table in TABLES)}
 
@@ -109,7 +109,7 @@ def test_results_of_a_run_are_those_of_a_sweep_of_one_cell(
 
 
 @pytest.mark.parametrize("gate", [("--fail-if", "episodes == 2"), ("--junit", "junit.xml")])
-def test_a_query_leaves_no_gate_open(
+def test_fail_if_is_refused_with_a_query(
     downtown_run: Path, here: Callable[..., Outcome], workplace: Path, gate: tuple[str, str]
 ) -> None:
     said = sentence(here("results", downtown_run, "--sql", "select 1", *gate))
@@ -117,7 +117,7 @@ def test_a_query_leaves_no_gate_open(
     assert not (workplace / "junit.xml").exists()
 
 
-def test_a_format_is_of_an_answer(downtown_run: Path, here: Callable[..., Outcome]) -> None:
+def test_a_format_is_refused_without_a_query(downtown_run: Path, here: Callable[..., Outcome]) -> None:
     done = here("results", downtown_run, "--format", "csv")
     assert sentence(done) == "error: --format csv is of the answer to --sql; add that"
     assert not done.out

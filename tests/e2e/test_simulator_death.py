@@ -1,4 +1,4 @@
-"""What becomes of a run when libsumo itself ends the process."""
+"""Runs in which libsumo crashes and ends the process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.e2e.commands import TINY, Outcome, advdiff
 
-# docs/sumo.md, "Beside the lane": SUMO reads freed memory in a step soon after the second place
+# docs/sumo.md, "Beside the lane": SUMO reads freed memory in a step soon after the second position
 PLANNER = '''
 import libsumo
 import numpy as np
@@ -21,7 +21,7 @@ PLACES = {10: (854.819, 208.395, 105.67), 11: (855.933, 208.049, 107.25)}
 
 
 class Meddler:
-    """Coasts, and moves a vehicle beside its lane behind the simulation's back."""
+    """Coasts, and moves a vehicle beside its lane without the simulation's knowledge."""
 
     def start(self, road, scene, rng):
         return 0
@@ -39,7 +39,7 @@ class Meddler:
 
 @pytest.fixture(scope="module")
 def dead(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
-    """A run whose only episode libsumo did not survive, and its folder's parent."""
+    """Return the working folder and the outcome of a run whose only episode crashed libsumo."""
     place = tmp_path_factory.mktemp("dead")
     (place / "meddler.py").write_text(PLANNER)
     (place / "tmp").mkdir()
@@ -50,7 +50,7 @@ def dead(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     return place, done
 
 
-def test_the_death_of_libsumo_is_a_failure_with_its_steps_and_command(dead: tuple[Path, Outcome]) -> None:
+def test_a_crash_of_libsumo_is_a_failure_with_its_steps_and_command(dead: tuple[Path, Outcome]) -> None:
     place, done = dead
     assert done.code == 1, done.err  # its only episode failed
     assert "Traceback" not in done.out + done.err
@@ -59,7 +59,7 @@ def test_the_death_of_libsumo_is_a_failure_with_its_steps_and_command(dead: tupl
     states = pq.read_table(place / "run" / "states.parquet").to_pylist()
     steps = sorted(state["step"] for state in states if state["is_target"])
     assert steps == list(range(len(steps)))
-    assert len(steps) > 11  # the meddling began in the step after 1.0 s
+    assert len(steps) > 11  # the vehicle is moved from the step after 1.0 s on
     told = f"SUMO crashed at {0.1 * steps[-1]:.1f} s of the episode: the worker was ended by SIGSEGV"
     assert row["failure_message"] == told
     assert row["duration_s"] == pytest.approx(0.1 * steps[-1])

@@ -37,7 +37,7 @@ TABLES = (
 
 @pytest.fixture
 def sweeps(workplace: Path) -> Path:
-    """A workplace with a small sweep file."""
+    """Return a workplace with a small sweep file."""
     (workplace / "small.toml").write_text(SWEEP)
     return workplace
 
@@ -91,7 +91,7 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
 
 
 def _an_older_page_is_told(sweep: Path, key: str, here: Callable[..., Outcome]) -> None:
-    """Check that a sweep that goes on without a report says so of one that is there; where nothing is run, not."""
+    """Check the note on an older report in a sweep resumed without a report; there is none if nothing is run."""
     (episode,) = sweep.glob(f"episodes/*/{key}")
     episode.unlink()
     goes_on = ("sweep", "--resume", sweep, "--executor", "serial", "--no-report")
@@ -104,7 +104,7 @@ def _an_older_page_is_told(sweep: Path, key: str, here: Callable[..., Outcome]) 
 
 
 def _tables_catch_up(sweep: Path, key: str, here: Callable[..., Outcome]) -> None:
-    """Check that an episode that came after the tables were made is in what is read of the sweep."""
+    """Check that results include an episode that finished after the tables were made."""
     (episode,) = sweep.glob(f"episodes/*/{key}")
     kept = episode.read_bytes()
     episode.unlink()
@@ -162,7 +162,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     _wait_for(sweeps / "broken", min(before + 1, 9))
     second.send_signal(signal.SIGINT)
     _, said = second.communicate(timeout=HANG_S)
-    if second.returncode != 0:  # it may have been quicker
+    if second.returncode != 0:  # it may have ended before the signal
         assert second.returncode == 130
         assert said.splitlines() == [f"{KEPT}; go on with advdiff-sumo sweep --resume broken"]
 
@@ -172,7 +172,7 @@ def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     (sweeps / "broken" / "report.html").mkdir()
     done = advdiff("sweep", "small.toml", "--resume", "broken", "--workers", 2, cwd=sweeps, hash_seed=1)
     assert done.code == 0, done.err
-    assert "no report: " in done.out  # a folder is in its way, which does not change the results
+    assert "no report: " in done.out  # a folder has the report's name; the results are not affected
     (sweeps / "broken" / "report.html").rmdir()
     for table in TABLES:
         assert (sweeps / "broken" / table).read_bytes() == (sweeps / "whole" / table).read_bytes(), table
@@ -199,7 +199,7 @@ def _children(pid: int) -> list[int]:
 
 
 def _gone(pids: list[int]) -> None:
-    """Wait until none of *pids* is alive: nobody is left behind by a parent that was killed."""
+    """Wait until none of *pids* is alive, so that a killed parent leaves no process behind."""
     assert pids
     until = time.monotonic() + HANG_S
     while any(_alive(pid) for pid in pids):
@@ -216,7 +216,7 @@ def _alive(pid: int) -> bool:
 
 
 @pytest.mark.slow
-def test_two_nets_of_one_name_keep_apart(grid: Path, tmp_path: Path) -> None:
+def test_two_nets_with_the_same_name_are_distinguished(grid: Path, tmp_path: Path) -> None:
     for folder, speed in (("a", "13.9"), ("b", "8.3")):
         (tmp_path / folder).mkdir()
         net = re.sub(r'speed="[\d.]+"', f'speed="{speed}"', grid.read_text())

@@ -1,4 +1,4 @@
-"""What an episode comes to does not depend on how many threads the libraries were given."""
+"""The results of an episode do not depend on the number of threads of the libraries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from advdiff_sumo.core.threads import VARIABLES
 
-#: Background, target, and weights that are not the background's default, of each episode; every learned one occurs.
+#: Background, target and weights ("": the background's default) of each episode; all learned ones are included.
 PAIRS = (
     *(("sumo", "IDM"), ("replay", "lane_graph"), ("diffusion", "lane_graph"), ("strive", "IDM")),
     *(
@@ -48,7 +48,7 @@ print("threads", wide, file=sys.stderr)
 
 
 def _digests(threads: str | None) -> tuple[list[str], int]:
-    """Return a line for each of ``PAIRS``, and how many threads PyTorch had; None leaves the choice to it."""
+    """Return a line for each of ``PAIRS``, and PyTorch's number of threads; None: PyTorch chooses it."""
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
     environment |= {} if threads is None else dict.fromkeys(VARIABLES, threads)
     words = [":".join(pair) for pair in PAIRS]

@@ -1,4 +1,4 @@
-"""``train`` and ``evaluate`` as a user types them, on a made-up road."""
+"""``train`` and ``evaluate`` as a user types them, on an invented road."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def traffic(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "traffic"
 
 
-def test_a_training_leaves_what_the_page_names(traffic: Path) -> None:
+def test_a_training_writes_the_documented_files(traffic: Path) -> None:
     names = {path.name for path in traffic.iterdir()}
     wanted = {
         "weights.safetensors",
@@ -76,7 +76,7 @@ def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tm
 
 
 @pytest.mark.slow
-def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
+def test_a_training_can_be_resumed_after_ctrl_c(data: Path, tmp_path: Path) -> None:
     words = ("train", "traffic", "--data", data, "--out", "out", *TINY, "--judge", "0")
     process = begin(*words, "--set", "epochs=400", cwd=tmp_path)
     _wait_for(tmp_path / "out" / "metrics.jsonl", process)
@@ -89,12 +89,12 @@ def test_ctrl_c_is_kept_and_goes_on(data: Path, tmp_path: Path) -> None:
     assert shlex.split(command) == typed
     again = advdiff(*typed[1:], "--max-minutes", "0.02", cwd=tmp_path)
     assert again.code == 0, again.err
-    assert "--resume" in again.err  # told how to go on
+    assert "--resume" in again.err  # the message says how to continue
 
 
 @pytest.mark.slow
 def test_the_shipped_weights_get_a_closed_loop_decoder(data: Path, tmp_path: Path) -> None:
-    """Stopped and gone on with, it ends with the same bytes; the loss that it says is that of what it has written."""
+    """An interrupted and resumed training gives the same bytes; the printed loss is that of the written weights."""
     words = ("train", "decoder", "--data", data, "--init", "shipped", "--threads", "1", "--judge", "0")
     tiny = ("--set", "epochs=2", "--set", "batch_size=4", "--set", "held_out=0.3")
     whole = advdiff(*words, "--out", "whole", *tiny, cwd=tmp_path)
@@ -145,14 +145,14 @@ REFUSED = [
     (("traffic", "--data", "DATA", "--set", "epochs=0"), ("epochs = 0",)),
     (("traffic", "--data", "DATA", "--resume"), ("checkpoint", "without --resume")),
 ]
-"""Options of ``train`` and what its sentence must say; each takes a start of PyTorch."""
+"""Options of ``train`` and words of the error; each case starts PyTorch."""
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [*REFUSED[:3], *(pytest.param(*case, marks=pytest.mark.slow) for case in REFUSED[3:])],
 )
-def test_what_cannot_be_used_is_one_sentence(
+def test_unusable_options_get_one_sentence(
     options: tuple[str, ...], words: tuple[str, ...], data: Path, traffic: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "text.safetensors").write_text("no tensors here")

@@ -1,4 +1,4 @@
-"""``train-rl`` as a user types it, and a run with what it leaves."""
+"""``train-rl`` as a user types it, and a run with the trained attacker."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_it_leaves_an_actor_and_its_curve(trained: tuple[Path, Outcome]) -> None
 
 
 @pytest.mark.slow
-def test_it_goes_on(trained: tuple[Path, Outcome]) -> None:
+def test_it_can_be_resumed(trained: tuple[Path, Outcome]) -> None:
     folder, _ = trained
     assert advdiff(*WORDS, "--steps", "8", cwd=folder).code == 2
     done = advdiff(*WORDS, "--steps", "8", "--resume", cwd=folder)
@@ -45,7 +45,7 @@ def test_it_goes_on(trained: tuple[Path, Outcome]) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_drives_by_it(trained: tuple[Path, Outcome]) -> None:
+def test_a_run_uses_the_trained_attacker(trained: tuple[Path, Outcome]) -> None:
     folder, _ = trained
     words = ("run", "--net", "motorway", "--background", "adv-rl", "--episodes", "1", "--out", "run")
     done = advdiff(*words, "--weights", "rl/actor.safetensors", *TINY, cwd=folder)
@@ -63,7 +63,7 @@ def test_a_run_drives_by_it(trained: tuple[Path, Outcome]) -> None:
         (("--target", "IDN"), "did you mean 'IDM'"),
     ],
 )
-def test_what_it_refuses_leaves_nothing(words: tuple[str, str], problem: str, tmp_path: Path) -> None:
+def test_a_refused_training_leaves_no_files(words: tuple[str, str], problem: str, tmp_path: Path) -> None:
     done = advdiff("train-rl", "--out", "rl", *words, cwd=tmp_path)
     assert done.code == 2
     assert problem in done.err

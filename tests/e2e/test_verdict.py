@@ -1,4 +1,4 @@
-"""``advdiff-sumo verdict`` on folders of runs: of this version, of an earlier one, and on what is none."""
+"""``advdiff-sumo verdict`` on runs of this and of an earlier version, and on folders that are no runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TOOL = Path(__file__).resolve().parents[2] / "tools" / "check_verdicts.py"
 
 @pytest.fixture
 def collided(tmp_path: Path) -> Path:
-    """A run folder of hand-made episodes on a net of its own."""
+    """Return a run folder of invented episodes on a small net."""
     return encounter_folder(tmp_path)
 
 
@@ -32,7 +32,7 @@ def table(folder: Path, name: str = "episodes") -> list[dict]:
 
 
 def make_older(folder: Path, *, signals: bool) -> None:
-    """Take away what earlier versions did not write."""
+    """Remove the columns and tables that earlier versions did not write."""
     for name in ("episodes", "collisions"):
         path = folder / f"{name}.parquet"
         whole = pq.read_table(path)
@@ -56,7 +56,7 @@ def test_the_same_verdicts_again(collided: Path, here: Callable[..., Outcome]) -
 
 @pytest.mark.slow
 def test_the_search_says_what_is_unavoidable(collided: Path, here: Callable[..., Outcome]) -> None:
-    """Both encounters leave the target seconds; what the search says once is kept, and contradicts nothing."""
+    """Both collisions can be avoided in time; results of the search are kept, and contradict no verdict."""
     unsearched = check_verdicts(collided)
     assert unsearched.returncode == 2
     assert "nothing was searched" in unsearched.stderr
@@ -83,7 +83,7 @@ def check_verdicts(*arguments: Path | str) -> subprocess.CompletedProcess[str]:
 
 
 def contradict(folder: Path) -> None:
-    """Say of every collision that no drive avoids it."""
+    """Mark every collision as not avoided by any drive of the search."""
     path = folder / "collisions.parquet"
     whole = pq.read_table(path)
     column = whole.column_names.index("solvable")
@@ -150,7 +150,7 @@ def test_a_sweep_and_one_of_an_earlier_version(tmp_path: Path, here: Callable[..
 
 
 def test_an_exported_scenario_and_one_of_others(collided: Path, here: Callable[..., Outcome]) -> None:
-    """The encounter of episode 0 is judged alike from each file; without names the planning problem says who it is."""
+    """The encounter of episode 0 has the same verdict from each file; without names, the planning problem is used."""
     net, out = collided.parent / "traffic_light.net.xml", collided.parent / "files"
     assert here("export", collided, "--episode", "0", "-f", "commonroad", "-f", "csv", "--out", out).code == 0
     (commonroad,) = out.glob("*.cr.xml")

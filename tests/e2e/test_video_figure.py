@@ -1,4 +1,4 @@
-"""``advdiff-sumo report``, ``figure`` and ``video``: what they write, and what they refuse in one sentence."""
+"""``advdiff-sumo report``, ``figure`` and ``video``: their files, and errors in one sentence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.report.conftest import drive, episode, struck, write_folder
 
 @pytest.fixture
 def finished(workplace: Path) -> Path:
-    """Return a run of a quiet episode and of one with a collision."""
+    """Return a run with one episode without a collision and one with a collision."""
     states = drive(0, "ego", 100.0, 100.0, 10.0, target=True) + drive(0, "bv", 100.0, 110.0, 10.0)
     states += drive(1, "ego", 85.0, 101.0, 10.0, target=True) + drive(1, "bv", 105.0, 101.0, 5.0)
     return write_folder(workplace / "run", [episode(0, min_clearance_m=8.0), struck(1)], states)
@@ -28,7 +28,7 @@ def finished(workplace: Path) -> Path:
         (("video", "run", "a.gif", "--episode", "1", "--start", "2"), b"GIF89a"),
     ],
 )
-def test_writes_what_was_asked(
+def test_the_requested_file_is_written(
     here: Callable[..., Outcome], finished: Path, workplace: Path, words: tuple[str, ...], begins: bytes
 ) -> None:
     outcome = here(*words)

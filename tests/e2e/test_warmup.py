@@ -1,4 +1,4 @@
-"""A warm-up under a licence from the command line, and traffic that goes for what it found."""
+"""A warm-up under a licence from the command line, and traffic that uses its result."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ class Hangs(Leaves):
         ("ill:Hangs", "5", "warm-up of ill:Hangs: an episode took longer than 5 s"),
     ],
 )
-def test_a_planner_that_leaves_or_hangs_is_told(tmp_path: Path, target: str, limit: str, said: str) -> None:
+def test_a_planner_that_exits_or_hangs_is_reported(
+    tmp_path: Path, target: str, limit: str, said: str
+) -> None:
     (tmp_path / "ill.py").write_text(ILL)
     words = ("warmup", "--net", "motorway", "--target", target, "--timeout", limit, *SCENE)
     done = advdiff(*words, "--out", "seen.safetensors", cwd=tmp_path)
@@ -76,7 +78,7 @@ def test_a_planner_that_leaves_or_hangs_is_told(tmp_path: Path, target: str, lim
 
 @pytest.mark.slow
 def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
-    """The shipped prior stands for a lawful warm-up; a reward model cannot rank encounters, nor the other way round."""
+    """The result of a lawful warm-up (here the shipped prior) and a reward model cannot replace each other."""
     bundle = new_bundle(BundleOptions.parse({}))
     save_reward(bundle.reward, tmp_path / "q.safetensors")
     words = ("run", "--net", "motorway", "--target", "lane_graph", "--out", "run")
@@ -98,7 +100,7 @@ def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
         (("--defect", "lat"), "did you mean 'late'?"),
     ],
 )
-def test_a_warm_up_that_cannot_be(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+def test_an_impossible_warm_up_is_refused(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
     done = advdiff("warmup", "--target", "lane_graph", *words, "--out", "seen.safetensors", cwd=tmp_path)
     assert done.code == 2
     assert said in sentence(done)

@@ -1,8 +1,8 @@
-"""A process that has imported what commands import, and forks one for each command; this script is that process.
+"""A process that has imported the modules of all commands and forks a process for each command.
 
-A command started so ends as one started cold: it has its own working folder, environment, standard streams and exit
-code, waits for its threads and runs what was registered for its end. Only the seconds of importing, and of taking apart
-all that was imported, are saved, hundreds of times.
+A command that is started in this way behaves like one that is started normally: it has its own working folder,
+environment, standard streams and exit code, waits for its threads and runs its exit functions. Only the seconds for
+imports and their clean-up are saved. This file is also the script of that process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import NoReturn
 
-#: What commands and workers import, that included which single verbs need and which takes long.
+#: Modules that commands and workers import, including slow ones that only some verbs need.
 MODULES = (
     *("advdiff_sumo.cli.main", "advdiff_sumo.sim.run_episodes", "advdiff_sumo.sweep.executors"),
     *("advdiff_sumo.sweep.work", "advdiff_sumo.report.page", "scipy.signal", "torch"),
@@ -34,7 +34,7 @@ MODULES = (
     *("advdiff_sumo.experiments.judge_folder", "advdiff_sumo.experiments.warmup_run", "advdiff_sumo.export"),
     *("advdiff_sumo.training.setup", "advdiff_sumo.traffic.diffusion.diffusion_policy"),
 )
-#: What PyTorch imports with its first optimiser; commands in another order of sets than 0 hardly have one.
+#: PyTorch imports this with its first optimiser; it is rarely needed with another hash seed than 0.
 _WITH_OPTIMISER = "torch._dynamo"
 _REQUEST_BYTES = 1 << 20
 _CLIENT = """#!{python} -IS
@@ -48,7 +48,7 @@ _COLD = util.spawnv_passfds
 
 
 class WarmStart:
-    """Starts commands from one process, in the environment that it began with."""
+    """Starts commands from one process, whose environment is *environment*."""
 
     def __init__(self, environment: dict[str, str]) -> None:
         self.environment = environment
@@ -74,7 +74,7 @@ class WarmStart:
             return code, _text(out.fileno()), _text(err.fileno())
 
     def write_program(self, folder: Path) -> None:
-        """Write ``advdiff-sumo`` into *folder*: run by a shell that was given ``descriptor``, one at a time."""
+        """Write a program ``advdiff-sumo`` into *folder*; its shell must inherit ``descriptor``; one run at a time."""
         program = folder / "advdiff-sumo"
         program.write_text(
             _CLIENT.format(python=sys.executable, descriptor=self.descriptor), encoding="utf-8"
@@ -83,11 +83,11 @@ class WarmStart:
 
     @property
     def descriptor(self) -> int:
-        """Through which requests go."""
+        """Descriptor of the socket for requests."""
         return self._socket.fileno()
 
     def end(self) -> None:
-        """Let the process end, and whatever hangs in it."""
+        """End the process and all processes that hang in its session."""
         self._socket.close()
         if self._process.poll() is None:
             os.killpg(self._process.pid, signal.SIGKILL)
@@ -101,7 +101,7 @@ def _text(descriptor: int) -> str:
 
 
 def _become_next_command(requests: socket.socket) -> None:
-    """Serve requests; return in each process that is to run a command, and never in the one that serves."""
+    """Serve requests; return only in the forked processes, each of which runs a command."""
     while True:
         request, streams, _, _ = socket.recv_fds(requests, _REQUEST_BYTES, 2)
         if not request:
@@ -117,7 +117,7 @@ def _become_next_command(requests: socket.socket) -> None:
 
 
 def _take_over(request: tuple[list[str], str, dict[str, str]], streams: list[int]) -> None:
-    """Give this process the words, the folder, the environment and the streams of a command."""
+    """Set words, working folder, environment and streams of this process to those of a command."""
     words, cwd, environment = request
     for number, stream in zip((1, 2), streams, strict=True):
         os.dup2(stream, number)
@@ -131,7 +131,7 @@ def _take_over(request: tuple[list[str], str, dict[str, str]], streams: list[int
 
 
 def _fork_servers(program: bytes, words: list[str], kept: tuple[int, ...]) -> int:
-    """Start what multiprocessing asks for as it does, but fork its fork server; return the process's number."""
+    """Replace ``spawnv_passfds`` of multiprocessing: fork its fork server, start others as usual; return the pid."""
     if "multiprocessing.forkserver" not in words[-1]:
         return int(_COLD(program, words, kept))
     sys.stdout.flush()
@@ -145,14 +145,14 @@ def _fork_servers(program: bytes, words: list[str], kept: tuple[int, ...]) -> in
             os.closerange(lowest, descriptor)
             lowest = descriptor + 1
         try:
-            exec(words[-1], {})  # noqa: S102 - the line that a new interpreter would be given
-        finally:  # it leaves by SystemExit when the command is gone
+            exec(words[-1], {})  # noqa: S102 - the code that a new interpreter would run
+        finally:  # it raises SystemExit when the command has ended
             os._exit(0)
     return child
 
 
 def _load_libsumo() -> None:
-    """Load libsumo's machine code, nearly all of its import; the rest sets variables, which is up to each command."""
+    """Load libsumo's shared library, the slow part of its import; the rest sets variables, which each command does."""
     places = getattr(find_spec("libsumo"), "submodule_search_locations", None) or ()
     for library in (path for place in places for path in Path(place).glob("_libsumo.*")):
         ctypes.CDLL(str(library))
@@ -172,15 +172,15 @@ def _serve() -> None:
         _become_next_command(requests)
     try:
         runpy.run_module("advdiff_sumo", run_name="__main__", alter_sys=True)
-    except SystemExit as left:
-        if not isinstance(left.code, int | None):
+    except SystemExit as error:
+        if not isinstance(error.code, int | None):
             raise
-        _end(left.code or 0)
+        _end(error.code or 0)
 
 
 def _end(code: int) -> NoReturn:
-    """End as the interpreter does, but leave taking modules apart to the system."""
-    threading._shutdown()  # waits for threads; the interpreter calls it, too
+    """End the process like the interpreter, but without cleaning up modules."""
+    threading._shutdown()  # waits for threads, as the interpreter does
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()

@@ -74,7 +74,7 @@ def eat():
 
 
 class Ill:
-    """What it does in its third plan stands in a file, by the first number that the episode's generator draws."""
+    """Its deed in the third plan is read from a file by the first random number of the episode."""
 
     def start(self, road, scene, rng):
         return json.loads(Path("deeds.json").read_text())[repr(float(rng.random()))], 0

@@ -10,7 +10,7 @@ import pytest
 
 from advdiff_sumo.core.threads import VARIABLES
 
-#: Background, target and weights ("": the background's default) of each episode; all learned ones are included.
+#: Background and target of each episode, and weights other than the default; all learned ones are included.
 PAIRS = (
     *(("sumo", "IDM"), ("replay", "lane_graph"), ("diffusion", "lane_graph"), ("strive", "IDM")),
     *(

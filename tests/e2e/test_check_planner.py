@@ -10,7 +10,7 @@ import pytest
 from tests.e2e.commands import Outcome
 
 
-def test_own_random_numbers_and_invalid_plans_are_reported(here: Callable[..., Outcome]) -> None:
+def test_plans_that_are_not_finite_are_reported(here: Callable[..., Outcome]) -> None:
     done = here(
         "check-planner", "our_planners:NotANumber", "--net", "grid.net.xml", "--episodes", 1, "--horizon", 4
     )

@@ -108,7 +108,7 @@ def margin(
             raise typer.Exit(_FAILED)
         trials.keep(margins, margin_command(options, attack, by, within))
     _report(console, options.target, folder, attack, margins, as_json)
-    if len(margins) < len(attacks) or not any(found.margin.is_known for found in margins):
+    if len(margins) < len(attacks) or not any(result.margin.is_known for result in margins):
         raise typer.Exit(_FAILED)
 
 
@@ -119,8 +119,8 @@ def _report(
     from advdiff_sumo.report.page import write_report
 
     report = write_report(folder)
-    for found in margins:
-        console.print(f"{target}: {found.margin.text(found.attack, found.scale)}", soft_wrap=True)
+    for result in margins:
+        console.print(f"{target}: {result.margin.text(result.attack, result.scale)}", soft_wrap=True)
     console.print(f"look at {report}", soft_wrap=True)
     if as_json:
         paths = {"folder": str(folder.resolve()), "report": str(report.resolve())}
@@ -129,7 +129,7 @@ def _report(
 
 def _json_values(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
     """Return the *margins* as ``--json`` prints them: the values of one attack, or a list for all attacks."""
-    summaries = [found.summary() for found in margins]
+    summaries = [result.summary() for result in margins]
     return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
 

@@ -172,11 +172,11 @@ def window_paths(places: list[Path]) -> list[Path]:
     paths: list[Path] = []
     for place in places:
         if place.is_dir():
-            found = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
-            if not found:
+            files = sorted(p for p in place.glob(f"*{SUFFIX}") if not p.name.startswith("."))
+            if not files:
                 remedy = "make some with advdiff-sumo data simulate or data build"
                 raise FileError(place, f"holds no window file (*{SUFFIX})", remedy)
-            paths += found
+            paths += files
         elif place.is_file():
             paths.append(place)
         else:
@@ -189,8 +189,8 @@ def _open(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
         with safe_open(path, framework="numpy") as file:
             header = dict(file.metadata() or {})
             if header.get("format") != FORMAT:
-                found = header.get("format", "none")
-                raise FileError(path, f"is no window file (format '{found}', not '{FORMAT}')", _AGAIN)
+                file_format = header.get("format", "none")
+                raise FileError(path, f"is no window file (format '{file_format}', not '{FORMAT}')", _AGAIN)
             missing = sorted(set(TENSORS) - set(file.keys()))
             if missing:
                 raise FileError(path, f"lacks the tensors {', '.join(missing)}", _AGAIN)

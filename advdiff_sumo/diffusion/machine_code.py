@@ -114,14 +114,14 @@ class Fitting:
 
     def holds(self, given: Sequence[Tensor]) -> bool:
         """Return whether the arguments *given* are supported."""
-        found: dict[str, int] = {}
+        named_sizes: dict[str, int] = {}
         for (kind, sizes), value in zip(self.arguments, given, strict=True):
             if str(value.dtype) != kind or value.device.type != "cpu" or value.dim() != len(sizes):
                 return False
             for size, number in zip(sizes, value.shape, strict=True):
-                if number != (size if isinstance(size, int) else found.setdefault(size, number)):
+                if number != (size if isinstance(size, int) else named_sizes.setdefault(size, number)):
                     return False
-        return all(self.sizes[name][0] <= size <= self.sizes[name][1] for name, size in found.items())
+        return all(self.sizes[name][0] <= size <= self.sizes[name][1] for name, size in named_sizes.items())
 
 
 class _Function(torch.autograd.Function):

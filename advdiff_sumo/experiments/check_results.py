@@ -110,16 +110,16 @@ def part_result(
         scenes: names of all checked scenes.
         not_reached: part → parts that cannot be checked in a scene in which it fails.
     """
-    found = [(where, problem) for where, problem in problems if problem.part is part]
-    if not found:
+    part_problems = [(where, problem) for where, problem in problems if problem.part is part]
+    if not part_problems:
         stopped = {where for where, problem in problems if part in not_reached.get(problem.part, ())}
         looked_at = len(scenes) - len(stopped.intersection(scenes))
         detail = counted(looked_at, "scene") if looked_at else "not looked at, see above"
         return CheckResult(part.value, True if looked_at else None, detail)
-    where, first = min(found, key=lambda named: named[1].harmless)
+    where, first = min(part_problems, key=lambda named: named[1].harmless)
     scene_text = f" ({where})" if where else ""
     remedy = f"; {first.remedy}" if first.remedy else ""
-    more_text = f"; {len(found) - 1} more" if len(found) > 1 else ""
+    more_text = f"; {len(part_problems) - 1} more" if len(part_problems) > 1 else ""
     return CheckResult(part.value, first.harmless, f"{first.text}{scene_text}{remedy}{more_text}")
 
 

@@ -156,7 +156,7 @@ def check_target(name: str, options: Mapping[str, Any], extent: Extent) -> list[
     result = drive(planner, name, road, extent)
     scenes = _scenes(result.scenes)
     problems = [
-        (where, found) for where, scene in scenes.items() for found in problems_of(planner, road, scene)
+        (where, problem) for where, scene in scenes.items() for problem in problems_of(planner, road, scene)
     ]
     contract = contract_results(Part, problems, scenes, carries_over(planner, road, list(scenes.values())))
     drives = drives_results(result.records, result.again)

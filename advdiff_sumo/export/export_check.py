@@ -74,24 +74,25 @@ def compare(read: ImportedScene, scene: ExportScene) -> Iterator[str]:
 
     Positions may differ by ``POSITION_M`` and headings by ``HEADING_RAD``.
     """
-    given, found = scene.tracks, read.tracks
-    if sorted(found.ids) != sorted(given.ids):
-        yield f"it has the agents {sorted(found.ids)}, written were {sorted(given.ids)}"
+    written, read_back = scene.tracks, read.tracks
+    if sorted(read_back.ids) != sorted(written.ids):
+        yield f"it has the agents {sorted(read_back.ids)}, written were {sorted(written.ids)}"
         return
-    found = found.rows([found.index[name] for name in given.ids])
-    if read.tracks.ids[read.target] != given.ids[scene.target]:
-        yield f"the target is {read.tracks.ids[read.target]}, not {given.ids[scene.target]}"
-    if abs(found.dt_s - given.dt_s) > 1e-6 or found.t0_s != given.t0_s:
-        yield f"instants are {found.dt_s} s apart from {found.t0_s} s on, not {given.dt_s} s from {given.t0_s} s"
-    if found.valid.shape != given.valid.shape or (found.valid != given.valid).any():
+    read_back = read_back.rows([read_back.index[name] for name in written.ids])
+    if read.tracks.ids[read.target] != written.ids[scene.target]:
+        yield f"the target is {read.tracks.ids[read.target]}, not {written.ids[scene.target]}"
+    if abs(read_back.dt_s - written.dt_s) > 1e-6 or read_back.t0_s != written.t0_s:
+        times = [f"{tracks.dt_s} s apart from {tracks.t0_s} s" for tracks in (read_back, written)]
+        yield f"instants are {times[0]} on, not {times[1]} on"
+    if read_back.valid.shape != written.valid.shape or (read_back.valid != written.valid).any():
         yield "agents are there at other instants"
         return
-    if (found.classes != given.classes).any():
+    if (read_back.classes != written.classes).any():
         yield "agents are of other classes"
-    if np.abs(found.size_m - given.size_m).max() > _SIZE_M:
-        yield f"boxes differ by up to {np.abs(found.size_m - given.size_m).max():.3f} m"
-    distance_m = np.hypot(*(found.xy_m - given.xy_m)[given.valid].T)
-    turn_rad = np.abs(wrap_angle(found.yaw_rad - given.yaw_rad)[given.valid])
+    if np.abs(read_back.size_m - written.size_m).max() > _SIZE_M:
+        yield f"boxes differ by up to {np.abs(read_back.size_m - written.size_m).max():.3f} m"
+    distance_m = np.hypot(*(read_back.xy_m - written.xy_m)[written.valid].T)
+    turn_rad = np.abs(wrap_angle(read_back.yaw_rad - written.yaw_rad)[written.valid])
     if distance_m.max() > POSITION_M:
         yield f"positions differ by up to {distance_m.max():.4f} m"
     if turn_rad.max() > HEADING_RAD:

@@ -182,8 +182,8 @@ class _Search:
         counts = np.array([len(rows) for rows in nearby])
         if counts.sum() == 0:
             return empty, empty
-        found = np.fromiter(chain.from_iterable(nearby), np.int64, counts.sum())
-        return np.repeat(np.arange(len(xy_m)), counts), self.rows[found]
+        pieces = np.fromiter(chain.from_iterable(nearby), np.int64, counts.sum())
+        return np.repeat(np.arange(len(xy_m)), counts), self.rows[pieces]
 
 
 def _distances(

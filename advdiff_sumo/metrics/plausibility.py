@@ -56,8 +56,12 @@ def implausibilities(record: EpisodeRecord, road: RoadMap) -> list[Implausibilit
     tracks = record.tracks
     moved = (record.controller == Controller.POLICY) & tracks.valid
     moved[record.target] = False
-    found = [*_contacts(record, moved), *_off_road(tracks, moved, road), *_beyond_limits(tracks, moved)]
-    return sorted(found, key=lambda x: (x.time_s, x.vehicle, x.what))
+    implausibilities = [
+        *_contacts(record, moved),
+        *_off_road(tracks, moved, road),
+        *_beyond_limits(tracks, moved),
+    ]
+    return sorted(implausibilities, key=lambda x: (x.time_s, x.vehicle, x.what))
 
 
 def _contacts(record: EpisodeRecord, moved: BoolArray) -> Iterator[Implausibility]:

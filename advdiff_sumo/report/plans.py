@@ -44,9 +44,9 @@ def plans_of(table: pa.Table) -> tuple[Planned, ...]:
     )
     xy = np.stack((x, y), axis=-1)
     plans = []
-    for (agent, made), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made_s[k])):
+    for (agent, plan_time), rows in groupby(range(len(agents)), key=lambda k: (agents[k], made_s[k])):
         indices = list(rows)
-        plans.append(Planned(agent, float(made), times[indices], xy[indices]))
+        plans.append(Planned(agent, float(plan_time), times[indices], xy[indices]))
     return tuple(plans)
 
 

@@ -278,8 +278,8 @@ class _Check:
         """Call *make* for the first *options* with this content; return the target, or None for anything else."""
         key = digest(content)
         if key not in self._checked:
-            made = make(options)
-            self._checked[key] = made if content[0] == "target" else None
+            checked = make(options)
+            self._checked[key] = checked if content[0] == "target" else None
         return self._checked[key]
 
 

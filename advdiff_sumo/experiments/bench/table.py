@@ -173,7 +173,7 @@ def lines_of(
             row.key,
             row.group,
             row.title,
-            {key: cell(row, key, found) for key, found in estimates[row.name].items()},
+            {key: cell(row, key, estimate) for key, estimate in estimates[row.name].items()},
             row.reference,
         )
         for row in rows

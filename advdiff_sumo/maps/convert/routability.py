@@ -10,12 +10,12 @@ from advdiff_sumo.maps.routing import strong_components
 
 def reachable(starts: Collection[str], following: Mapping[str, Collection[str]]) -> set[str]:
     """Return the edges that can be reached from *starts*, including these."""
-    found, queue = set(starts), list(starts)
+    reached, queue = set(starts), list(starts)
     while queue:
-        new = set(following.get(queue.pop(), ())) - found
-        found |= new
+        new = set(following.get(queue.pop(), ())) - reached
+        reached |= new
         queue += new
-    return found
+    return reached
 
 
 def strong_parts(next_edges: Mapping[str, Sequence[str]]) -> list[list[str]]:

@@ -241,10 +241,10 @@ class AdvSim(BaselinePolicy):
         self, case: _Case, best_plan: Rollout, best: _Best, losses: tuple[float, ...]
     ) -> SearchResult:
         names = tuple(case.task.view.ids[row] for row in case.rows.tolist())
-        found: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
+        changes: list[FloatArray] = [x.cpu().numpy().astype(np.float64).ravel() for x in best.changes]
         memory = replace(
             case.task.memory,
-            searched=dict(zip(names, found, strict=True)),
+            searched=dict(zip(names, changes, strict=True)),
             attackers=names,
             surrogate=case.task.memory.surrogate if case.answer is None else case.answer.memory,
         )

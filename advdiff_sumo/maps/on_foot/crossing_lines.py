@@ -90,7 +90,7 @@ class Band:
 
 def band_of(area: Polygon, lines: Iterable[LineString]) -> Band | None:
     """Return *area* as a band that leads across *lines*; None if it intersects none of them."""
-    headings = [heading for line in lines if (heading := _heading(line, area)) is not None]
+    headings = [heading for line in lines if (heading := direction_where_met(line, area)) is not None]
     box = shapely.minimum_rotated_rectangle(area)
     if not headings or not isinstance(box, Polygon):
         return None
@@ -155,7 +155,7 @@ def _part(line: LineString, ends_m: FloatArray, width_m: float, road: Carriagewa
         return TWO_JUNCTIONS
     along = (ends_m[1] - ends_m[0]) / np.hypot(*(ends_m[1] - ends_m[0]))
     for strip in strips:
-        heading = _heading(strip.line, line)
+        heading = direction_where_met(strip.line, line)
         if heading is None or abs(float(_cross(along, heading))) < LEAST_SINE:
             return ALONG
     return CrossingLine(ends_m, width_m, strips[0].junction, tuple(strips))
@@ -172,13 +172,18 @@ def overlaps(lines: Sequence[CrossingLine], others: Sequence[CrossingLine]) -> b
     return False
 
 
-def _heading(line: LineString, shape: Polygon | LineString) -> FloatArray | None:
-    """Return the direction (2,) of *line* where it meets *shape*; None if it does not, or meets a line repeatedly."""
+def direction_where_met(
+    line: LineString, shape: Polygon | LineString, step_m: float = _STEP_M
+) -> FloatArray | None:
+    """Return the direction (2,) of *line* where it meets *shape*; None if it does not, or meets a line repeatedly.
+
+    It is that from *step_m* before the place to *step_m* after it.
+    """
     shared = line.intersection(shape)
     if shared.is_empty or (isinstance(shape, LineString) and not isinstance(shared, Point)):
         return None
     s = line.project(shared.centroid)
-    before, after = (np.asarray(line.interpolate(v).coords[0]) for v in (max(s - _STEP_M, 0.0), s + _STEP_M))
+    before, after = (np.asarray(line.interpolate(v).coords[0]) for v in (max(s - step_m, 0.0), s + step_m))
     step = after - before
     length_m = float(np.hypot(*step))
     return None if length_m < 1e-6 else np.asarray(step / length_m)

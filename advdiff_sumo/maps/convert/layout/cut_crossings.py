@@ -20,10 +20,12 @@ from advdiff_sumo.maps.on_foot.crossing_lines import (
     REACH_M,
     Band,
     band_of,
+    direction_where_met,
 )
 
 SHORTEST_M = 5.0  # shortest edge that may remain
 MARGIN_M = 0.5  # distance between the end of an edge and a crossing
+_STEP_M = 0.2  # distance over which directions of lanes are measured
 
 
 @dataclass(frozen=True)
@@ -82,17 +84,12 @@ def _crossed_lanes(
     strip = axis.buffer(0.5 * band.width_m + MARGIN_M, cap_style="flat")
     crossed_lanes = []
     for lane in tree.query(axis, predicate="intersects").tolist():
+        direction = direction_where_met(lines[lane], axis, _STEP_M)
+        if direction is None:
+            return None
+        if abs(float(direction[0] * band.along[1] - direction[1] * band.along[0])) < LEAST_SINE:
+            return None
         meeting = lines[lane].intersection(axis)
-        if not isinstance(meeting, Point):
-            return None
-        s = lines[lane].project(meeting)
-        # shapely counts negative arc lengths from the end of the line
-        ahead, back = (
-            np.asarray(lines[lane].interpolate(max(s + step, 0.0)).coords[0]) for step in (0.2, -0.2)
-        )
-        step = (ahead - back) / max(float(np.hypot(*(ahead - back))), 1e-9)
-        if abs(float(step[0] * band.along[1] - step[1] * band.along[0])) < LEAST_SINE:
-            return None
         parts = shapely.get_parts(lines[lane].intersection(strip))
         part = min(parts, key=meeting.distance)
         first, last = sorted(lines[lane].project(Point(part.coords[end])) for end in (0, -1))

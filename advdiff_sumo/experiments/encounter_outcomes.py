@@ -34,7 +34,7 @@ class BegunEncounter:
 
     Attributes:
         since_s: time of its begin, since the episode's start.
-        names: ids of the vehicle that drives the manoeuvre and, for a cut-out, of the standing vehicles it reveals.
+        names: ids of the vehicle that drives the manoeuvre and, for a cut-out, of the vehicles it reveals.
         features: (D,) see ``encounter_features``.
     """
 

@@ -1,7 +1,7 @@
 """The margin of a seed scene: the least severe encounter that makes a target fail validly, by bisection.
 
 Each kind of attack has scales of severity (``SCALES``): the deceleration of a braking vehicle, the gap of a cut-in,
-the time by which a crossing vehicle precedes the target, or how late a leader's cut-out reveals a standing vehicle.
+the time by which a crossing vehicle precedes the target, or how late a leader's cut-out reveals a vehicle.
 The seed scene, the place and the attacker stay the same.
 """
 

@@ -161,7 +161,7 @@ class DiffusionTraffic:
         """Return a plan for a scene without moved vehicles, of newly inserted vehicles alone, if there are any."""
         commitments, newcomers = memory.commitments, tuple[Newcomer, ...]()
         if commitments is not None:
-            situation, licence = situation_of(road, view), licence_of(self.options.licence)
+            situation, licence = situation_of(road, view, commitments), licence_of(self.options.licence)
             _, commitments = update_manoeuvres(
                 situation, commitments, self.options.attackers, PAUSE_S, licence
             )

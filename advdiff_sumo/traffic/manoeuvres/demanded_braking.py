@@ -20,6 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.required_braking import (
     needed_braking,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 
 
 def demanded_braking(
@@ -42,6 +43,10 @@ def demanded_braking(
             room_m = _gap_m(view, target, manoeuvre) - CLEARANCE_M + futures.driven_m[k]
             matched = _to_match_speed(faster, room_m, float(futures.speed_mps[k, -1]), float(perceived_s[k]))
             needed[k] = max(needed[k], matched)
+        if manoeuvre.revealed_row is not None:
+            speed_mps = view.speed(manoeuvre.revealed_row)
+            room_m = _gap_to_revealed_m(view, target, manoeuvre) - CLEARANCE_M + speed_mps * CHECK_TIMES_S
+            needed[k] = max(needed[k], _to_match_speed(target, room_m, speed_mps, float(perceived_s[k])))
         if manoeuvre.kind in ENDS_STANDING and _stops(manoeuvre):
             stop_distance_m = float(
                 futures.driven_m[k, -1] - 0.5 * futures.speed_mps[k, -1] ** 2 / manoeuvre.profile.then_mps2
@@ -57,20 +62,27 @@ def _gap_m(view: SituationView, target: TargetWay, manoeuvre: Manoeuvre) -> floa
     return view.on_target_way[manoeuvre.row][0] - half_lengths_m
 
 
+def _gap_to_revealed_m(view: SituationView, target: TargetWay, cut_out: Manoeuvre) -> float:
+    """Return the gap from the target's front to the rear of the vehicle that *cut_out* reveals, past its leader."""
+    assert cut_out.revealed_row is not None  # noqa: S101 - the caller checks it
+    beyond_m = view.position_on(view.ways[cut_out.row], cut_out.revealed_row)[0]
+    half_lengths_m = 0.5 * float(view.size(cut_out.revealed_row)[0] + target.size_m[0])
+    return view.on_target_way[cut_out.row][0] + beyond_m - half_lengths_m
+
+
 def _obstacles(
     view: SituationView, manoeuvres: Sequence[Manoeuvre], futures: ManoeuvreFutures
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return centres (C, T, 2), headings (C, T) and sizes (C, 2) of the vehicles that the target must avoid.
 
-    That is the vehicle in the manoeuvre or, in a cut-out, the standing one that it reveals.
+    That is the vehicle in the manoeuvre or, in a cut-out, the one that it reveals, which keeps its speed.
     """
-    history = view.scene.history
     xy, yaw = futures.xy_m.copy(), futures.yaw_rad.copy()
-    rows = [m.row if m.revealed_row is None else m.revealed_row for m in manoeuvres]
-    for k, m in enumerate(manoeuvres):
-        if m.revealed_row is not None:
-            xy[k], yaw[k] = history.xy_m[m.revealed_row, -1], history.yaw_rad[m.revealed_row, -1]
-    return xy, yaw, history.size_m[rows]
+    rows = np.array([m.row if m.revealed_row is None else m.revealed_row for m in manoeuvres])
+    reveals = np.array([m.revealed_row is not None for m in manoeuvres])
+    if reveals.any():
+        xy[reveals], yaw[reveals] = view.constant_speed_poses(rows[reveals])
+    return xy, yaw, view.scene.history.size_m[rows]
 
 
 def _stops(manoeuvre: Manoeuvre) -> bool:

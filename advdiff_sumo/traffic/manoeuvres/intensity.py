@@ -13,7 +13,7 @@ MOST_SPARE_GAP_M = 25.0
 MOST_EARLY_S = 1.5
 """A vehicle that crosses earlier than this before the target does not affect it."""
 LEAST_REVEALS_S, MOST_REVEALS_S = 1.5, 2.5
-"""A leader that leaves the lane later hardly gets past the standing vehicle; an earlier one cannot be inserted."""
+"""A leader that leaves the lane later hardly gets past the vehicle ahead; an earlier one cannot be inserted."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Intensity:
         braking_mps2: deceleration of the attacker. The manoeuvre, its time and place are chosen as without it.
         spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops.
         early_s: how long before the target a vehicle with priority is where their ways meet.
-        reveals_s: how long before it would reach a standing vehicle a leader begins to leave the lane.
+        reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
     """
 
     braking_mps2: float | None = None

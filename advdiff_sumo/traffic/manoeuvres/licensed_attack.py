@@ -89,7 +89,7 @@ def licensed_attack(
     licence = licence_of(name)
     if licence is None:
         return UNRESTRICTED
-    situation = situation_of(road, view)
+    situation = situation_of(road, view, memory)
     driven: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
     newcomers: tuple[Newcomer, ...] = ()
     if memory is not None:
@@ -115,11 +115,15 @@ def licensed_attack(
     )
 
 
-def situation_of(road: RoadMap, view: View) -> SituationView:
-    """Return the scene of *view* with ways; only vehicles that get a plan may be moved in it."""
+def situation_of(road: RoadMap, view: View, memory: Commitments | None) -> SituationView:
+    """Return the scene of *view* with ways; only vehicles that get a plan may be moved in it.
+
+    It holds the road users near the target, and those that a leader hides from it.
+    """
     movable = np.zeros_like(view.scene.movable)
     movable[view.rows[view.moved]] = True
-    return SituationView.of(road, replace(view.scene, movable=movable))
+    hidden = memory.standing.hidden_names if memory is not None else ()
+    return SituationView.of(road, replace(view.scene, movable=movable), hidden)
 
 
 def _setting_off(view: View, memory: Commitments | None, driven: Mapping[int, object]) -> set[int]:

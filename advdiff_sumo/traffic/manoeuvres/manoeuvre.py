@@ -71,7 +71,7 @@ class Manoeuvre:
         goal: the way on another lane that it changes to; None: it keeps its lane.
         is_positioning: whether it only brings the vehicle into position.
         delay_s: when the lane change begins.
-        revealed_row: row of the standing vehicle ahead that the target sees only after a cut-out; None: there is none.
+        revealed_row: row of the vehicle that the target sees only after a cut-out; None: there is none.
         body: box of a vehicle that changes lanes slowly; None: it is fast enough to be treated as a point.
     """
 

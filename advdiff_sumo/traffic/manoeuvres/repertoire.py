@@ -41,8 +41,10 @@ AFTER_CUT_IN_MPS2 = (2.0, 3.5, 5.0, 6.5, 8.0)
 """Decelerations of a vehicle that has changed lanes and comes to a queue."""
 CROSSING_ACCELS_MPS2 = (2.0, 1.0, 0.0, -1.0, -2.0)
 """Accelerations by which a vehicle with priority adjusts its arrival; of equal merit, the earliest arrival is taken."""
-_REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)  # times before a leader would reach the standing vehicle
-_MAX_DELAY_S = 2.0
+_REVEALS_S = (2.0, 2.5, 3.0, 3.5, 4.0)  # times before a leader would reach the vehicle that it hides
+_REVEALED_WITHIN_M, _MIN_CLOSING_MPS = 90.0, 12.0
+"""Farthest distance of that vehicle from the leader; by how much it is slower unless it stands."""
+_MAX_DELAY_S = 3.0
 STANDING_BELOW_MPS = 0.5
 """A slower vehicle counts as standing: others need not expect it to move on."""
 _ACCEL_DURATIONS_S = (1.5, 3.0)
@@ -178,20 +180,21 @@ def _timed_crossings(view: SituationView, row: int, target_link: Link) -> Iterat
 
 
 def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
-    """Yield late lane changes of the target's leader that reveal a standing vehicle."""
+    """Yield late lane changes of the target's leader that reveal a standing or much slower vehicle."""
     yield from cut_out_at(view, row, _REVEALS_S)
 
 
 def cut_out_at(view: SituationView, row: int, reveals_s: Sequence[float]) -> Iterator[Manoeuvre]:
-    """Yield each :func:`cut_out` that begins soon, *reveals_s* before *row* would reach the standing vehicle."""
-    standing = _standing_ahead(view, row) if _leads(view, row) else None
-    if standing is None or view.speed(row) < _MIN_SPEED_MPS:
+    """Yield each :func:`cut_out` that begins soon, *reveals_s* before *row* would reach the hidden vehicle."""
+    hidden = _hidden_ahead(view, row) if _leads(view, row) else None
+    if hidden is None or view.speed(row) < _MIN_SPEED_MPS:
         return
-    other, gap_m = standing
+    other, gap_m = hidden
+    closing_mps = view.speed(row) - (view.speed(other) if view.speed(other) > STANDING_BELOW_MPS else 0.0)
     for side in ("left", "right"):
         goal = view.neighbour_way(row, side)
         for time_s in reveals_s if goal is not None else ():
-            delay_s = gap_m / view.speed(row) - time_s
+            delay_s = gap_m / closing_mps - time_s
             if 0.0 <= delay_s <= _MAX_DELAY_S:
                 yield Manoeuvre(
                     "cut-out", row, view.ways[row], SpeedProfile(), goal, delay_s=delay_s, revealed_row=other
@@ -276,11 +279,14 @@ def way_on_target_lane(view: SituationView, row: int) -> Way | None:
     return None
 
 
-def _standing_ahead(view: SituationView, row: int) -> tuple[int, float] | None:
-    """Return the next vehicle on the way of *row*, and the bumper gap to it; None if it does not stand."""
+def _hidden_ahead(view: SituationView, row: int) -> tuple[int, float] | None:
+    """Return the next vehicle on the way of *row*, and the bumper gap to it; None if it is not much slower."""
     positions = ((other, *view.position_on(view.ways[row], other)) for other in view.ways if other != row)
     ahead = [(s, other) for other, s, left in positions if s > 0.0 and abs(left) < IN_LANE_M]
     distance_m, other = min(ahead, default=(np.inf, row))
-    if distance_m > LEADER_RANGE_M or other == view.scene.target or view.speed(other) > STANDING_BELOW_MPS:
+    if distance_m > _REVEALED_WITHIN_M or other == view.scene.target:
+        return None
+    is_slow = view.speed(row) - view.speed(other) >= _MIN_CLOSING_MPS
+    if view.speed(other) > STANDING_BELOW_MPS and not is_slow:
         return None
     return other, view.gap_m(distance_m, row, other)

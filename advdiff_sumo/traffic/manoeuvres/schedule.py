@@ -60,7 +60,7 @@ def update_manoeuvres(
 def insert_vehicles(view: SituationView, memory: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:
     """Return the vehicles that are inserted now, for the manoeuvres that may begin, and the updated memory.
 
-    Standing vehicles are only in the memory.
+    Standing vehicles, and slow ones that a leader hides, are only in the memory.
     """
     memory = _update_standing(view, memory)
     busy = {under_way.kind for under_way in memory.active.values() if not under_way.is_positioning}
@@ -78,11 +78,11 @@ def insert_vehicles(view: SituationView, memory: Commitments) -> tuple[tuple[New
             standing, stage = insert_slow_vehicle(view, memory.stage, memory.standing, kind)
             memory = replace(memory, standing=standing, stage=stage)
     newcomers, stage = insert_newcomers(view, memory.stage, kinds)
-    standing_ones = tuple(newcomer for newcomer in newcomers if newcomer.speed_mps == 0.0)
-    if standing_ones:
-        memory = replace(memory, standing=StandingTraffic("cut-out", standing_ones, view.scene.time_s))
-    moving_ones = tuple(newcomer for newcomer in newcomers if newcomer not in standing_ones)
-    return moving_ones, replace(memory, stage=stage)
+    hidden = tuple(newcomer for newcomer in newcomers if newcomer.is_hidden)
+    if hidden:
+        memory = replace(memory, standing=StandingTraffic("cut-out", hidden, view.scene.time_s))
+    shown = tuple(newcomer for newcomer in newcomers if not newcomer.is_hidden)
+    return shown, replace(memory, stage=stage)
 
 
 def _update_standing(view: SituationView, memory: Commitments) -> Commitments:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -48,11 +48,12 @@ class SituationView:
     off_lane_rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @staticmethod
-    def of(road: RoadMap, scene: Scene) -> SituationView:
-        """Return the view of all road users within ``NEAR_M`` of the target."""
+    def of(road: RoadMap, scene: Scene, farther: Collection[str] = ()) -> SituationView:
+        """Return the view of all road users within ``NEAR_M`` of the target, and of those with an id in *farther*."""
         history = scene.history
         distance = np.linalg.norm(history.xy_m[:, -1] - history.xy_m[scene.target, -1], axis=-1)
-        rows = np.flatnonzero(history.valid[:, -1] & (distance <= NEAR_M))
+        is_included = (distance <= NEAR_M) | np.isin(history.ids, list(farther))
+        rows = np.flatnonzero(history.valid[:, -1] & is_included)
         lanes = lanes_ahead(
             road,
             history.xy_m[rows, -1],

@@ -22,8 +22,8 @@ from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     kerb_side,
 )
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory
-from advdiff_sumo.traffic.manoeuvres.standing_traffic import StandingTraffic, lane_at
-from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.manoeuvres.standing_traffic import StandingTraffic
+from advdiff_sumo.traffic.manoeuvres.ways import Way, lane_at
 from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead
 
 _KERB_CLASSES: tuple[AgentClass, ...] = (AgentClass.BUS, AgentClass.TRUCK, AgentClass.CAR)

@@ -26,7 +26,8 @@ from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
 from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, MIN_STOPPING_SPEED_MPS
 from advdiff_sumo.traffic.manoeuvres.situation_view import ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
-from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.manoeuvres.ways import Way, lane_at
+from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead
 
 SIZE_M = {AgentClass.CAR: (4.6, 1.8), AgentClass.TRUCK: (9.0, 2.4), AgentClass.MOTORCYCLE: (2.2, 0.8)}
 """Length and width of inserted vehicles."""
@@ -48,9 +49,12 @@ _APART_M, _APART_S = 9.0, 0.6  # least distance to others on the lane: constant 
 _FROM_TARGET_M, _LATER_FROM_TARGET_M = 18.0, 30.0  # least distance to the target at the first plan, and later
 _IN_LANE_M, _BESIDE_M = 2.0, 6.0  # lateral offset on a lane; least distance to vehicles on other lanes
 _CLEAR_FOR_S, _CLEAR_M = 4.0, 3.0  # for so long an inserted vehicle stays so far from all others
-_MIN_HIDING_M, _MAX_HIDING_MPS = 18.5, 17.0
-"""Least distance of a leader that hides a standing vehicle; highest speed of the target."""
-_HIDDEN_S = 5.0  # time gap from that leader to the standing vehicle
+_MIN_HIDING_M = 18.5  # least distance of a leader that hides a standing or slow vehicle
+_MAX_CLOSING_MPS = 17.0
+"""A faster target closes in on a slow vehicle at this speed, in place of a standing one."""
+_HIDDEN_S = 5.0  # time in which the leader would reach the hidden vehicle
+HIDDEN_LASTS_S = 20.0
+"""A slow hidden vehicle keeps its speed for so long, for which its way must be free of lights and duties to yield."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,13 @@ class Newcomer(Approach):
         agent_class: its class.
         name: its id, once its insertion is certain.
         onward: edges of its route; (): those of its way.
+        is_hidden: whether it stands, or is slow, ahead of a leader that hides it from the target.
     """
 
     agent_class: AgentClass = AgentClass.CAR
     name: str = ""
     onward: tuple[str, ...] = ()
+    is_hidden: bool = False
 
     @staticmethod
     def size_of(agent_class: AgentClass) -> tuple[float, float]:
@@ -134,7 +140,7 @@ def insert_newcomers(
     if DOUBLE in kinds:
         taken += _leader_and_company(view, stage)
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
-        taken += _leader_and_standing(view, stage)
+        taken += _leader_and_hidden(view, stage)
     named = tuple(replace(newcomer, name=f"staged-{stage.count + k}") for k, newcomer in enumerate(taken))
     pause_s = _PAUSE_S if taken else 0.0  # the time at which a vehicle would meet the target is short
     return named, replace(stage, count=stage.count + len(taken), next_try_s=now + pause_s)
@@ -255,12 +261,12 @@ def _missing_company(view: SituationView) -> Iterator[Newcomer]:
 
 
 def can_insert_cut_out(view: SituationView) -> bool:
-    """Return whether a standing vehicle, and a leader before it, could be inserted now."""
-    return bool(_leader_and_standing(view, StagingMemory()))
+    """Return whether a standing or slow vehicle, and a leader before it, could be inserted now."""
+    return bool(_leader_and_hidden(view, StagingMemory()))
 
 
-def _leader_and_standing(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
-    """Return a leader and a standing vehicle ahead of it, if there is a free lane for the leader to change to."""
+def _leader_and_hidden(view: SituationView, stage: StagingMemory) -> Sequence[Newcomer]:
+    """Return a leader and a vehicle ahead that it hides, if there is a free lane for the leader to change to."""
     target = view.target
     if target is None or not is_first_plan(view) or view.is_occupied(target.way, _FARTHEST_M, _IN_LANE_M):
         return ()
@@ -268,15 +274,34 @@ def _leader_and_standing(view: SituationView, stage: StagingMemory) -> Sequence[
     if not any(way is not None and not view.is_occupied(way, _FARTHEST_M, _IN_LANE_M) for way in neighbours):
         return ()
     speed = target.speed_mps
-    if not SLOWEST_TARGET_MPS <= speed <= _MAX_HIDING_MPS:
+    if speed < SLOWEST_TARGET_MPS:
         return ()
     leader_m = max(HEADWAY_S * speed + SIZE_M[AgentClass.CAR][0], _MIN_HIDING_M)
-    standing_m = leader_m + _HIDDEN_S * speed + SIZE_M[AgentClass.TRUCK][0]
+    hidden_m = leader_m + _HIDDEN_S * min(speed, _MAX_CLOSING_MPS) + SIZE_M[AgentClass.TRUCK][0]
     leaders = _on_way(view, target.way, leader_m, speed, AgentClass.CAR)
     leader = [newcomer for newcomer in leaders if _is_free(view, newcomer, ())]
-    way = view.extended_way(target.way, standing_m)
-    standing = list(_on_way(view, way, standing_m, 0.0, stage.agent_class))
-    return [*leader, *standing] if leader and standing and _meets_nobody(view, standing[0]) else ()
+    hidden = list(_hidden(view, target.way, hidden_m, max(speed - _MAX_CLOSING_MPS, 0.0), stage.agent_class))
+    return [*leader, *hidden] if leader and hidden and _meets_nobody(view, hidden[0]) else ()
+
+
+def _hidden(
+    view: SituationView, way: Way, ahead_m: float, speed_mps: float, agent_class: AgentClass
+) -> Iterator[Newcomer]:
+    """Yield a vehicle *ahead_m* further along *way* that stands or, undisturbed for ``HIDDEN_LASTS_S``, is slow."""
+    drives_m = HIDDEN_LASTS_S * speed_mps
+    way = view.extended_way(way, ahead_m + drives_m)
+    for newcomer in _on_way(view, way, ahead_m, speed_mps, agent_class):
+        if not speed_mps:
+            yield replace(newcomer, is_hidden=True)
+        elif drives_m + ahead_m < way.lane.end_m and not has_line_within(way, ahead_m + drives_m):
+            lane, s_m = lane_at(way, way.lane.s_m + ahead_m)
+            slow_way = Way(lane_ahead(view.road.lanes, lane, s_m, 0.0, newcomer.route, drives_m))
+            yield replace(newcomer, way=slow_way, is_hidden=True)
+
+
+def has_line_within(way: Way, reach_m: float) -> bool:
+    """Return whether there is a light or a duty to yield on *way* within *reach_m*."""
+    return any(line_m < reach_m and (link.yields or link.tls_id is not None) for line_m, link in way.links)
 
 
 def _on_way(

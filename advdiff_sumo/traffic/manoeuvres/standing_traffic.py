@@ -21,8 +21,14 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT, SLOW_ENTRIES, S
 from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S
 from advdiff_sumo.traffic.manoeuvres.situation_view import NEAR_M, ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, PLAN_STEPS
-from advdiff_sumo.traffic.manoeuvres.staging import Newcomer, StagingMemory, with_newcomers
-from advdiff_sumo.traffic.manoeuvres.ways import Way
+from advdiff_sumo.traffic.manoeuvres.staging import (
+    HIDDEN_LASTS_S,
+    Newcomer,
+    StagingMemory,
+    has_line_within,
+    with_newcomers,
+)
+from advdiff_sumo.traffic.manoeuvres.ways import Way, lane_at
 from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead
 
 QUEUE = "queue"
@@ -34,6 +40,7 @@ _OUT_OF_SIGHT_M, _LENGTHS_M = 90.0, 8.0
 """Least distance of a queue; half the lengths of both vehicles, and some more."""
 _QUEUE_LASTS_S, _PAUSE_S = 20.0, 20.0
 _LASTS_S: Mapping[str, float] = {QUEUE: _QUEUE_LASTS_S, "cut-out": 60.0, SLOW_MERGE: 20.0, PULL_OUT: 20.0}
+"""Longest durations; a slow vehicle that a leader hides drives for ``staging.HIDDEN_LASTS_S`` alone."""
 _STAGGER_M = 3.0  # offset along the road from one lane's vehicle to the next one's
 _CLOSED_UP_MPS = 0.5  # a target that is no more than this faster than the queue has closed up
 _FREE_M, _FREE_S, _IN_LANE_M = 8.0, 1.0, 2.0
@@ -63,6 +70,17 @@ class StandingTraffic:
         return tuple(member.name for member in self.members)
 
     @property
+    def hidden_names(self) -> tuple[str, ...]:
+        """Ids of the vehicles that a leader hides, which attackers heed at any distance."""
+        return self.names if self.kind == "cut-out" else ()
+
+    @property
+    def _lasts_s(self) -> float:
+        """The longest duration of its presence."""
+        is_slow = self.kind == "cut-out" and self.members[0].speed_mps > 0.0
+        return HIDDEN_LASTS_S if is_slow else _LASTS_S[self.kind]
+
+    @property
     def is_queue(self) -> bool:
         """Whether there is the end of a queue, beside which no other vehicle attacks."""
         return self.kind == QUEUE and bool(self.members)
@@ -83,7 +101,7 @@ class StandingTraffic:
         present = tuple(member for member in self.members if member.name in view.scene.history.index)
         age_s = view.scene.time_s - self.since_s
         has_first = bool(present) and present[0] is self.members[0]
-        if not has_first or age_s >= _LASTS_S[self.kind] or _is_over(view, present, self.kind):
+        if not has_first or age_s >= self._lasts_s or _is_over(view, present, self.kind):
             return replace(self, members=())
         return replace(self, members=present)
 
@@ -143,10 +161,7 @@ def _queue_places(view: SituationView) -> list[Newcomer]:
     crawl_mps = max(target.speed_mps - _MAX_CLOSING_MPS, 0.0)
     ahead_m, crawled_m = _queue_distance_m(target.speed_mps - crawl_mps), crawl_mps * _QUEUE_LASTS_S
     way = view.extended_way(target.way, ahead_m + crawled_m)
-    must_wait = any(
-        line_m < ahead_m + ROAD_BEYOND_M and (link.yields or link.tls_id is not None)
-        for line_m, link in way.links
-    )
+    must_wait = has_line_within(way, ahead_m + ROAD_BEYOND_M)
     target_lane, s = lane_at(way, way.lane.s_m + ahead_m)
     if must_wait or way.lane.end_m < ahead_m + crawled_m or target_lane.is_internal:
         return []
@@ -167,16 +182,6 @@ def _queue_distance_m(closing_mps: float) -> float:
     return max(distance_m, _OUT_OF_SIGHT_M)
 
 
-def lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
-    """Return the lane of *way* that is *s_m* from the beginning of its first lane, and the place on that lane."""
-    for lane in way.lane.lanes:
-        if s_m <= lane.length_m:
-            return lane, s_m
-        s_m -= lane.length_m
-    last = way.lane.lanes[-1]
-    return last, last.length_m
-
-
 def _lanes_abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
     """Yield *lane* and the lanes beside it in the same direction."""
     yield lane
@@ -189,12 +194,16 @@ def _lanes_abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
 
 
 def _is_over(view: SituationView, members: tuple[Newcomer, ...], kind: str) -> bool:
-    """Return whether the target is past *members*, has closed up to a queue, or a crawling one has a leader."""
+    """Return whether the target is past *members*, has closed up to a queue, or a slow one has a leader.
+
+    The target may also close up to a slow vehicle that a leader hid.
+    """
     history, target = view.scene.history, view.scene.target
     rows = [history.index[member.name] for member in members]
     offset = history.xy_m[rows, -1] - history.xy_m[target, -1]
     ahead = offset @ unit(history.yaw_rad[target, -1])
-    closed_up = kind == QUEUE and view.speed(target) <= members[0].speed_mps + _CLOSED_UP_MPS
+    is_closed_up_to = kind == QUEUE or (kind == "cut-out" and members[0].speed_mps > 0.0)
+    closed_up = is_closed_up_to and view.speed(target) <= members[0].speed_mps + _CLOSED_UP_MPS
     if (ahead < 0.0).all() or closed_up:
         return True
     crawling = (row for row, member in zip(rows, members, strict=True) if member.speed_mps)

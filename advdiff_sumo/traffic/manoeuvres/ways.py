@@ -82,6 +82,16 @@ class Way:
         return self.lane.lanes[0]
 
 
+def lane_at(way: Way, s_m: float) -> tuple[Lane, float]:
+    """Return the lane of *way* that is *s_m* from the beginning of its first lane, and the place on that lane."""
+    for lane in way.lane.lanes:
+        if s_m <= lane.length_m:
+            return lane, s_m
+        s_m -= lane.length_m
+    last = way.lane.lanes[-1]
+    return last, last.length_m
+
+
 def time_in_motion_s(driven_m: FloatArray, time_s: FloatArray) -> FloatArray:
     """Return for how long (…, T) a vehicle that drives *driven_m* (…, T) has been in motion by *time_s* (T,)."""
     is_moving = np.diff(driven_m, axis=-1, prepend=0.0) > MIN_STRIDE_M

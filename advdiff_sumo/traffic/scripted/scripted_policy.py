@@ -48,7 +48,7 @@ class ScriptedOptions(Options):
             highest merit, as for the three options that follow.
         spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops at 6.5 m/s².
         early_s: how long before the target a vehicle with priority is where their ways meet.
-        reveals_s: how long before it would reach a standing vehicle a leader begins to leave the lane.
+        reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
         staged: most vehicles that are inserted during an episode if an encounter lacks them; 0: none.
         reward: file of ``advdiff-sumo warmup``, to prefer encounters in which the target fails; empty: none.
     """
@@ -95,7 +95,7 @@ class ScriptedTraffic:
         rng: np.random.Generator,  # noqa: ARG002 - the contract
     ) -> tuple[JointPlan, Commitments]:
         """Return the plans of the vehicles in a manoeuvre, 6 s at 2 Hz; SUMO drives all others."""
-        view = SituationView.of(road, scene)
+        view = SituationView.of(road, scene, memory.standing.hidden_names)
         options = self.options
         licence = licence_of(options.licence)
         driven, memory = update_manoeuvres(view, memory, options.attackers, options.pause_s, licence)

@@ -58,7 +58,7 @@ def test_every_order_contains_every_kind() -> None:
 
 
 def test_a_cut_out_has_its_turn_only_at_the_beginning(motorway: RoadMap) -> None:
-    """There is room for it at 9 m/s, but not at 20 m/s. It has no second turn."""
+    """There is room for it unless the lane beside is taken. It has no second turn."""
     view = view_of(motorway, target=(0, 50.0, 9.0))
     begun = Agenda(("cut-out", *ORDER)).updated(view)
     assert begun.now == "cut-out"
@@ -67,17 +67,19 @@ def test_a_cut_out_has_its_turn_only_at_the_beginning(motorway: RoadMap) -> None
     assert "cut-out" not in after.order
     assert after.now == "cut-in"
     fast = view_of(motorway, target=(0, 50.0, 20.0))
-    assert Agenda(("cut-out", *ORDER)).updated(fast).now == "cut-in"
+    assert Agenda(("cut-out", *ORDER)).updated(fast).now == "cut-out"
+    narrow = view_of(motorway, target=(0, 50.0, 9.0), beside=(1, 90.0, 9.0))
+    assert Agenda(("cut-out", *ORDER)).updated(narrow).now == "cut-in"
 
 
 def test_a_queue_has_its_turn_if_no_cut_out_is_possible(motorway: RoadMap) -> None:
-    """This is so at 20 m/s, and only at the beginning. Behind a leader there is room for neither."""
-    fast = view_of(motorway, target=(0, 50.0, 20.0))
-    begun = Agenda(("cut-out", "queue", *ORDER)).updated(fast)
+    """This is so beside another vehicle, and only at the beginning. Behind a leader there is room for neither."""
+    narrow = view_of(motorway, target=(0, 50.0, 20.0), beside=(1, 90.0, 20.0))
+    begun = Agenda(("cut-out", "queue", *ORDER)).updated(narrow)
     assert begun.now == "queue"
-    assert begun.updated(later(fast, TURN_S)).order[0] == "cut-in"
-    slow = view_of(motorway, target=(0, 50.0, 9.0))
-    assert Agenda(("cut-out", "queue", *ORDER)).updated(slow).now == "cut-out"
+    assert begun.updated(later(narrow, TURN_S)).order[0] == "cut-in"
+    free = view_of(motorway, target=(0, 50.0, 20.0))
+    assert Agenda(("cut-out", "queue", *ORDER)).updated(free).now == "cut-out"
     behind = view_of(motorway, target=(0, 50.0, 20.0), leader=(0, 80.0, 20.0))
     assert Agenda(("cut-out", "queue", *ORDER)).updated(behind).now == "hard-stop"
 

@@ -101,11 +101,11 @@ SEED = 5
 @pytest.fixture(scope="module")
 def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]:
     folder = tmp_path_factory.mktemp("nets")
-    sign, two, town = crossing(folder, "priority"), two_lanes(folder, 20.0), two_lanes(folder, 13.0)
+    sign, two, fast = crossing(folder, "priority"), two_lanes(folder, 20.0), two_lanes(folder, 33.0)
     north = ("south_in", "north_out")
     return {
         "crossing": Encounter(sign, Scripted(over(sign, *north), 205.0, 11.0), north, (), 12.0),
-        "cut-out": Encounter(town, Scripted(("WM_0", "ME_0"), 50.0, 12.7), ("WM", "ME"), (), 14.0),
+        "cut-out": Encounter(fast, Scripted(("WM_0", "ME_0"), 50.0, 28.0), ("WM", "ME"), (), 14.0),
         "cut-in": Encounter(two, Scripted(("WM_0", "ME_0"), 50.0, 18.0), ("WM", "ME"), (), 20.0),
     }
 
@@ -117,7 +117,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         ("crossing", "early_s", 0.0, 1.5, "blind-crossing:strong"),
         ("crossing", "early_s", 0.0, 1.0, "late:2.0"),
         ("cut-in", "spare_gap_m", 0.0, 20.0, "late:1.5"),
-        ("cut-out", "reveals_s", 1.5, 2.5, "speed-bias:5"),
+        ("cut-out", "reveals_s", 1.5, 2.5, "weak-brakes:2.5"),
     ],
 )
 def test_a_defect_shows_in_a_severe_attack_and_not_in_a_mild_one(

@@ -31,6 +31,8 @@ SHOWN_BY = [
     ("late", "beside", "hard-stop", SEED),
     ("blind-heavy", "beside", "hard-stop", SEED),
     ("blind-standing", "town", "cut-out", SEED),
+    ("headway", "fast", "cut-out", SEED),
+    ("speed-bias", "fast", "cut-out", SEED),
     ("blind-standing", "beside", "queue", SEED),
     ("weak-brakes", "fast", "queue", SEED),
     ("weak-brakes", "street", "slow-merge", SEED),

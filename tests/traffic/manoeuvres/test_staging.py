@@ -19,6 +19,7 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import hard_stop, positioning_pr
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import (
+    HIDDEN_LASTS_S,
     SIZE_M,
     Newcomer,
     StagingMemory,
@@ -192,21 +193,47 @@ def test_a_standing_vehicle_is_inserted_ahead_of_a_leader(motorway: RoadMap) -> 
     assert stage.count == 2
 
 
+def test_a_slow_vehicle_is_inserted_ahead_of_the_leader_of_a_fast_target(motorway: RoadMap) -> None:
+    """At 25 m/s the leader is 42.1 m ahead. The other, at 8 m/s, is 5 s at the closing speed of 17 m/s beyond it."""
+    view = view_of(motorway, target=(0, 50.0, 25.0))
+    (leader, slow), _ = insert_newcomers(view, StagingMemory(most=3), ("cut-out",))
+    assert view.target is not None
+    way = view.extended_way(view.target.way, 150.0)
+    along = way.line.project(np.array([leader.xy_m, slow.xy_m]))[0] - view.target.way.lane.s_m
+    assert along == pytest.approx([42.1, 42.1 + 85.0 + 9.0], abs=0.1)
+    assert (leader.speed_mps, slow.speed_mps) == (25.0, 8.0)
+    assert (leader.is_hidden, slow.is_hidden) == (False, True)
+    on_edges = sum(lane.length_m for lane in slow.way.lane.lanes) - slow.way.lane.s_m
+    assert on_edges > HIDDEN_LASTS_S * 8.0
+
+
 @pytest.mark.parametrize(
-    ("speed_mps", "cars", "stage"),
+    ("cars", "stage"),
     [
-        (9.0, {"leader": (0, 90.0, 9.0)}, StagingMemory(most=3)),
-        (9.0, {"beside": (1, 90.0, 9.0)}, StagingMemory(most=3)),
-        (25.0, {}, StagingMemory(most=3)),
-        (9.0, {}, StagingMemory(most=1)),
+        ({"leader": (0, 90.0, 9.0)}, StagingMemory(most=3)),
+        ({"beside": (1, 90.0, 9.0)}, StagingMemory(most=3)),
+        ({}, StagingMemory(most=1)),
     ],
 )
-def test_no_standing_vehicle_is_inserted(
-    speed_mps: float, cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
+def test_no_hidden_vehicle_is_inserted(
+    cars: dict[str, tuple[int, float, float]], stage: StagingMemory, motorway: RoadMap
 ) -> None:
-    """There is a leader; the next lane is taken; the target is too fast; two vehicles are needed."""
-    view = view_of(motorway, target=(0, 50.0, speed_mps), **cars)
+    """There is a leader; the next lane is taken; two vehicles are needed."""
+    view = view_of(motorway, target=(0, 50.0, 9.0), **cars)
     assert insert_newcomers(view, stage, ("cut-out",))[0] == ()
+
+
+def test_no_slow_vehicle_is_hidden_where_it_would_come_to_a_light(downtown: RoadMap) -> None:
+    """A standing one is: it need not heed the light. At 20 m/s the vehicle would be slow, at 3 m/s for 20 s."""
+    staged = Counter[float]()
+    for lane in downtown.lanes.values():
+        if lane.is_internal or lane.left_id is None or not any(link.tls_id for link in lane.successors):
+            continue
+        for speed_mps in (16.0, 20.0):
+            view = SituationView.of(downtown, scene_on({"target": (lane, 5.0, speed_mps)}))
+            staged[speed_mps] += len(insert_newcomers(view, StagingMemory(most=3), ("cut-out",))[0])
+    assert staged[16.0]
+    assert not staged[20.0]
 
 
 def test_shares_of_the_classes_of_inserted_vehicles() -> None:

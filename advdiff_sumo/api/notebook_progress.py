@@ -34,7 +34,7 @@ class NotebookProgress:
         if self._bar is not None:
             self._bar.stop()
 
-    def tell(self, row: Mapping[str, Any] | None, _failed: object = None) -> None:
+    def on_episode(self, row: Mapping[str, Any] | None, _failed: object = None) -> None:
         """Count an episode that has ended, and its collision if *row* has one; *row* is None for a failed episode."""
         self.done += 1
         self.hits += bool(row and row["target_collision"])

@@ -67,7 +67,7 @@ def run(
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
     with NotebookProgress(episodes, progress) as bar:
-        run_into(prepared, folder, SerialExecutor(prepared), bar.tell)
+        run_into(prepared, folder, SerialExecutor(prepared), bar.on_episode)
     return Results(folder.path)
 
 
@@ -138,8 +138,8 @@ def sweep(
         store = open_store(
             Path(out) if out is not None else free_folder(name), plan, worker_count, resume=False
         )
-        bar = stack.enter_context(NotebookProgress(plan.wanted, progress))
-        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, bar.tell)
+        bar = stack.enter_context(NotebookProgress(plan.episode_count, progress))
+        run_sweep(plan, store, RemainingJobs.of(plan, store), executor, _RETRIES, bar.on_episode)
     return Results(store.path)
 
 

@@ -19,7 +19,9 @@ class Interrupted(Exception):  # noqa: N818 - it is not an error
 
 
 @contextmanager
-def says_how_to_go_on(command: Callable[[], str | None], nothing: str = _NOTHING_KEPT) -> Iterator[None]:
+def explains_how_to_continue(
+    command: Callable[[], str | None], nothing: str = _NOTHING_KEPT
+) -> Iterator[None]:
     """Replace KeyboardInterrupt in the block by a message with the command that continues the work.
 
     Args:
@@ -51,7 +53,7 @@ def training_into(folder: Path) -> Iterator[None]:
 
     nothing = f"interrupted before the first checkpoint; begin again, with another --out than {folder}"
     typed = [word for word in sys.argv[1:] if word != _RESUME]
-    with says_how_to_go_on(
+    with explains_how_to_continue(
         lambda: shlex.join(["advdiff-sumo", *typed, _RESUME]) if (folder / NAME).exists() else None, nothing
     ):
         yield

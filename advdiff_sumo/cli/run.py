@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.interruption import says_how_to_go_on
+from advdiff_sumo.cli.interruption import explains_how_to_continue
 from advdiff_sumo.cli.terminal import print_json, progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
@@ -94,7 +94,7 @@ def run(
     prepared, notes = _prepared(options, gui)
     console = terminal(quiet=quiet or as_json)
     folder = _resumed_or_new(console, prepared, notes, out, resumed)
-    with says_how_to_go_on(lambda: _resume_command(folder)), ExitStack() as stack:
+    with explains_how_to_continue(lambda: _resume_command(folder)), ExitStack() as stack:
         limits = limits_of(stack, math.inf, plan_timeout, memory)
         stack.callback(_draw_report, folder.path, not no_report)
         count = _run_episodes(prepared, folder, console, limits, quiet, retry_failed)
@@ -226,7 +226,7 @@ def _run_episodes(
         done = len(folder.done(retry_failed))
         task = progress.add_task("episodes", total=prepared.options.episodes, completed=done)
 
-        def tell(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
+        def on_episode(row: Mapping[str, Any] | None, failure: Failed | None) -> None:
             nonlocal collisions, failed
             collisions += bool(row and row["target_collision"])
             failed += failure is not None
@@ -240,16 +240,16 @@ def _run_episodes(
 
         is_silent = quiet and not logging.getLogger("advdiff_sumo").isEnabledFor(logging.INFO)
 
-        def hear(line: str) -> None:
+        def on_output(line: str) -> None:
             if not is_silent:  # with -v, the lines include logs
                 sys.stderr.write(f"{line}\n")  # Rich prints it above the progress bar
 
-        return run_into(prepared, folder, executor, tell, hear, retry_failed=retry_failed)
+        return run_into(prepared, folder, executor, on_episode, on_output, retry_failed=retry_failed)
 
 
-def _draw_report(folder: Path, wanted: bool) -> None:
-    """Write the report of the run in *folder* if it is *wanted* and the run has tables."""
-    if not wanted or not (folder / "episodes.parquet").exists():
+def _draw_report(folder: Path, is_wanted: bool) -> None:
+    """Write the report of the run in *folder* if *is_wanted* and the run has tables."""
+    if not is_wanted or not (folder / "episodes.parquet").exists():
         return
     from advdiff_sumo.report.page import write_report  # late, as above
 

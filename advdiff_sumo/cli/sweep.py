@@ -11,7 +11,7 @@ from rich.console import Console
 
 from advdiff_sumo.cli import sweep_flags as flags
 from advdiff_sumo.cli import worker_flags as worker
-from advdiff_sumo.cli.interruption import says_how_to_go_on
+from advdiff_sumo.cli.interruption import explains_how_to_continue
 from advdiff_sumo.cli.run import tell_changed_code
 from advdiff_sumo.cli.run_flags import Json, Quiet, RetryFailed, check_retry
 from advdiff_sumo.cli.terminal import Bars, print_json, terminal
@@ -70,7 +70,7 @@ def sweep(
     slots = workers or worker.cores()
     with ExitStack() as stack:
         if dry_run:
-            stack.enter_context(says_how_to_go_on(lambda: None, _DRY_RUN_INTERRUPTED))
+            stack.enter_context(explains_how_to_continue(lambda: None, _DRY_RUN_INTERRUPTED))
         plan = _plan(console, file, resumed, diverse)
         limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
@@ -83,7 +83,7 @@ def sweep(
         _print_changed_code(plan, resumed)
         folder = resume or out or _new_folder(console, file)
         store = open_store(folder, plan, task_executor.slots, resume is not None)
-        stack.enter_context(says_how_to_go_on(lambda: _resume_command(store.path)))
+        stack.enter_context(explains_how_to_continue(lambda: _resume_command(store.path)))
         remaining = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _run_episodes(console, plan, store, remaining, task_executor, retries)
     _report(console, store.path, report, remaining.done < remaining.total)
@@ -118,11 +118,11 @@ def _resume_command(folder: Path) -> str:
     return f"advdiff-sumo sweep --resume {shlex.quote(str(folder))}"
 
 
-def _report(console: Console, folder: Path, wanted: bool, has_new_episodes: bool) -> None:
-    """Write the report if it is *wanted*; otherwise note if an existing report lacks new episodes."""
+def _report(console: Console, folder: Path, is_wanted: bool, has_new_episodes: bool) -> None:
+    """Write the report if *is_wanted*; otherwise note if an existing report lacks new episodes."""
     from advdiff_sumo.cli.summary import note_old_report
 
-    if wanted:
+    if is_wanted:
         _draw_report(console, folder)
     elif has_new_episodes:
         note_old_report(console, folder)
@@ -222,7 +222,7 @@ def _run_episodes(
 
     with Bars(console) as bars:
         bars.begin("episodes", remaining.total, remaining.done)
-        return run_sweep(plan, store, remaining, executor, retries, EpisodeCount(bars.step).tell)
+        return run_sweep(plan, store, remaining, executor, retries, EpisodeCount(bars.step).on_episode)
 
 
 def _print_estimate(
@@ -233,7 +233,7 @@ def _print_estimate(
     from advdiff_sumo.sweep.executors import ProcessExecutor
     from advdiff_sumo.sweep.time_estimate import estimate
 
-    size = f"{counted(plan.wanted, 'episode')} in {counted(len(plan.cells), 'run')}"
+    size = f"{counted(plan.episode_count, 'episode')} in {counted(len(plan.cells), 'run')}"
     console.print(f"{size}; {remaining.total - remaining.done} to do")
     with ProcessExecutor(1, limits) as executor:
         expected = estimate(plan, remaining.ahead(plan), executor)

@@ -152,7 +152,7 @@ def condition_met(condition: Condition, named: Mapping[str, float | None]) -> st
         is_met = condition.holds(named)
     except Undefined as error:
         return f"--fail-if {condition.text}: {error}"
-    return f"--fail-if {condition.text}: {condition.told(named) or 'always so'}" if is_met else None
+    return f"--fail-if {condition.text}: {condition.values_text(named) or 'always so'}" if is_met else None
 
 
 def _print(console: Console, results: FolderRows, overall: Figures) -> None:

@@ -19,7 +19,7 @@ from advdiff_sumo.core.errors import FileError, UnknownNameError, os_reason
 if TYPE_CHECKING:
     from advdiff_sumo.training.checkpoint import TrainingProgress as State
     from advdiff_sumo.training.presets import StageName, TrainOptions
-    from advdiff_sumo.training.training_loop import Tell, TrainingJob
+    from advdiff_sumo.training.training_loop import ProgressListener, TrainingJob
 
 
 _Init = Annotated[
@@ -100,7 +100,7 @@ def train(
     job = prepare(request)
     claim(out, resume)
     with training_into(out):
-        is_finished = _train(job, resume, terminal(stderr=True, highlight=False))
+        is_finished = _train_with_progress(job, resume, terminal(stderr=True, highlight=False))
     if is_finished and judged and name != "simnet":  # simnet prints its own figures at the end
         _judge(job, judged)
 
@@ -159,7 +159,7 @@ def claim(out: Path, resume: bool) -> None:
         raise FileError(out, f"is not empty ({names[0]})", "choose another --out, or add --resume")
 
 
-def _train(job: TrainingJob, resume: bool, console: Console) -> bool:
+def _train_with_progress(job: TrainingJob, resume: bool, console: Console) -> bool:
     """Train, and print the result; return whether the training is finished."""
     from advdiff_sumo.training import history
     from advdiff_sumo.training.training_loop import Trainer
@@ -179,7 +179,7 @@ def _train(job: TrainingJob, resume: bool, console: Console) -> bool:
     return progress.done
 
 
-def _progress_callback(bar: Progress, job: TrainingJob) -> Tell:
+def _progress_callback(bar: Progress, job: TrainingJob) -> ProgressListener:
     """Return a function that shows the epoch, the loss, the last held-out figure and the remaining time in *bar*."""
     task = bar.add_task(job.stage.name)
 

@@ -89,7 +89,9 @@ def rows_of_folder(folder: Path) -> FolderRows:
         )
     store = Store.open(folder)
     plan = stored_plan(store)
-    missing = tables_of(store, plan) + plan.wanted - len(plan.jobs)  # a diverse sweep has not chosen all yet
+    missing = (
+        tables_of(store, plan) + plan.episode_count - len(plan.jobs)
+    )  # a diverse sweep has not chosen all yet
     return rows_of_sweep(store, plan, missing)
 
 

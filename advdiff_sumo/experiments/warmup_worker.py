@@ -18,7 +18,7 @@ from advdiff_sumo.sweep.executors import call_in_worker
 from advdiff_sumo.sweep.tasks import WorkerLimits
 from advdiff_sumo.sweep.worker_sandbox import end_after
 
-Tell = Callable[[int], None]
+ProgressListener = Callable[[int], None]
 _POLL_S = 0.5  # interval between readings of the number of plans
 
 
@@ -29,7 +29,7 @@ def warm_up_in_worker(
     licence: str | None,
     limits: WorkerLimits,
     episode_s: float,
-    on_progress: Tell,
+    on_progress: ProgressListener,
     on_output: Callable[[str], None],
 ) -> list[str]:
     """Run a warm-up, write its result to *out*, and return a summary as lines of text.
@@ -62,7 +62,7 @@ def warm_up_in_worker(
 
 
 @contextlib.contextmanager
-def _progress_polled(count_file: Path, on_progress: Tell) -> Iterator[None]:
+def _progress_polled(count_file: Path, on_progress: ProgressListener) -> Iterator[None]:
     """Within the ``with`` block, call *on_progress* with the number that a worker writes to *count_file*."""
     is_over = threading.Event()
 
@@ -81,7 +81,7 @@ def _progress_polled(count_file: Path, on_progress: Tell) -> Iterator[None]:
 
 
 def _learn_in_process(
-    learn: Callable[[RunOptions, int, Path, Tell], list[str]],
+    learn: Callable[[RunOptions, int, Path, ProgressListener], list[str]],
     options: RunOptions,
     steps: int,
     out: Path,
@@ -98,7 +98,7 @@ def _learn_in_process(
     return json.dumps(learn(options, steps, out, on_progress)).encode()
 
 
-def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: Tell) -> list[str]:
+def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: ProgressListener) -> list[str]:
     from advdiff_sumo.experiments.failure_warmup import (
         failure_probabilities,
         header,
@@ -119,7 +119,7 @@ def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: Tel
     ]
 
 
-def _refit_reward(options: RunOptions, steps: int, out: Path, on_progress: Tell) -> list[str]:
+def _refit_reward(options: RunOptions, steps: int, out: Path, on_progress: ProgressListener) -> list[str]:
     from advdiff_sumo.experiments.warmup_run import description, warm_up  # late: the worker's
     from advdiff_sumo.models.reward import save_reward
 

@@ -23,7 +23,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.worker_start import ignore_interrupts, worker_context
 from advdiff_sumo.rl import ENVIRONMENT
 from advdiff_sumo.rl.rl_options import AdversaryOptions, PpoOptions
-from advdiff_sumo.rl.watch import Tell, Watch
+from advdiff_sumo.rl.watch import ProgressListener, Watch
 from advdiff_sumo.traffic.rl.actor import Actor, ActorNet, save_actor
 from advdiff_sumo.training import checkpoint, history
 from advdiff_sumo.training.interrupt import graceful
@@ -59,7 +59,7 @@ class PpoTraining:
         return {"adversary": self.adversary.model_dump(mode="json"), "ppo": self.ppo.model_dump(mode="json")}
 
 
-def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.TrainingProgress:
+def train(plan: PpoTraining, resume: bool, on_progress: ProgressListener) -> checkpoint.TrainingProgress:
     """Start or resume a training; write actor, checkpoint, metrics.jsonl, curves.png and TensorBoard events.
 
     An interrupt loses what was collected since the last update, and a resumed training begins new episodes. The same
@@ -90,13 +90,15 @@ def train(plan: PpoTraining, resume: bool, tell: Tell) -> checkpoint.TrainingPro
         if groups:
             model.policy.load_state_dict(groups["policy"])
             checkpoint.restore_optimiser(model.policy.optimizer, groups["optimiser"])
-        _learn(model, plan, progress, tell)
+        _learn(model, plan, progress, on_progress)
     finally:
         envs.close()
     return progress
 
 
-def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress, tell: Tell) -> None:
+def _learn(
+    model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress, on_progress: ProgressListener
+) -> None:
     events = history.open_events(plan.out / "events", progress.step) or history.NoEvents()
 
     def save() -> None:
@@ -108,7 +110,7 @@ def _learn(model: PPO, plan: PpoTraining, progress: checkpoint.TrainingProgress,
 
     model.num_timesteps = progress.step
     with graceful() as stop_request:
-        watch = Watch(progress.history, save, tell, stop_request)
+        watch = Watch(progress.history, save, on_progress, stop_request)
         steps_left = plan.steps - progress.step
         if steps_left > 0:
             model.learn(steps_left, callback=watch, log_interval=_NEVER, reset_num_timesteps=False)

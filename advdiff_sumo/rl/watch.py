@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from advdiff_sumo.training.history import Record
 from advdiff_sumo.training.interrupt import StopRequest
 
-Tell: TypeAlias = Callable[[int, list[Record]], None]
+ProgressListener: TypeAlias = Callable[[int, list[Record]], None]
 """Function called after every step with the number of steps made and the records so far."""
 _LOSSES = {
     "train/policy_gradient_loss": "policy_loss",
@@ -28,15 +28,24 @@ class Watch(BaseCallback):
     Args:
         history: records so far, to which it appends.
         save: called after every update.
-        tell: called with the progress after every step.
+        on_progress: called with the progress after every step.
         stop_request: whether the user wants to stop.
     """
 
     def __init__(
-        self, history: list[Record], save: Callable[[], None], tell: Tell, stop_request: StopRequest
+        self,
+        history: list[Record],
+        save: Callable[[], None],
+        on_progress: ProgressListener,
+        stop_request: StopRequest,
     ) -> None:
         super().__init__()
-        self.history, self._save, self._tell, self._stop_request = history, save, tell, stop_request
+        self.history, self._save, self._on_progress, self._stop_request = (
+            history,
+            save,
+            on_progress,
+            stop_request,
+        )
         self._episodes: list[dict[str, Any]] = []
         self._terms: list[dict[str, float]] = []
         self._collected = False
@@ -47,7 +56,7 @@ class Watch(BaseCallback):
                 self._episodes.append(info["episode_summary"])
             if "reward_terms" in info:
                 self._terms.append(info["reward_terms"])
-        self._tell(self.num_timesteps, self.history)
+        self._on_progress(self.num_timesteps, self.history)
         return not self._stop_request
 
     def _on_rollout_end(self) -> None:

@@ -403,7 +403,7 @@ class Loop:
             route=episode.scene.routes.get(episode.scene.target, ()),
             end=end,
             visible=record.visible if isinstance(episode.target, SumoDriver) else None,
-            rough_handovers=len(self.handover.rough),
+            rough_handovers=len(self.handover.misaligned_ids),
             skipped_agents=len(self.background.skipped),
             refused_insertions=len(self.actuator.refused),
             attack=self.background.attack,

@@ -31,12 +31,12 @@ class Handover:
     """Hands vehicles back to SUMO, and drives those onto their lane that SUMO could not take without a jump.
 
     Attributes:
-        rough: ids that SUMO got although they were not aligned with a lane.
+        misaligned_ids: ids that SUMO got although they were not aligned with a lane.
     """
 
     def __init__(self, world: World, actuator: Actuator, road: RoadMap, sim: SimOptions) -> None:
         self.world, self.actuator, self.road, self.sim = world, actuator, road, sim
-        self.rough: list[str] = []
+        self.misaligned_ids: list[str] = []
         self._relaxation = HeadwayRelaxation(actuator, world, sim.step_s)
         self._waiting_s: dict[int, float] = {}
         self._routes: dict[int, tuple[str, ...]] = {}
@@ -111,7 +111,7 @@ class Handover:
         waited_s = self._waiting_s.get(row, 0.0) + wait_s
         self._waiting_s[row] = waited_s
         if waited_s > _MAX_WAIT_S and lane is not None:
-            self.rough.append(self.world.ids[row])
+            self.misaligned_ids.append(self.world.ids[row])
             self._waiting_s.pop(row)
             return True
         return False

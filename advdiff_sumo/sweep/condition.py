@@ -68,9 +68,9 @@ class Condition:
         try:
             return bool(_value(self._tree, figures))
         except ZeroDivisionError:
-            raise Undefined(f"divides by zero, with {self.told(figures)}") from None
+            raise Undefined(f"divides by zero, with {self.values_text(figures)}") from None
 
-    def told(self, figures: Mapping[str, float | None]) -> str:
+    def values_text(self, figures: Mapping[str, float | None]) -> str:
         """Return the values of its figures as text; "" if it uses none."""
         values = ((name, figures[name]) for name in sorted(self.names))
         return ", ".join(

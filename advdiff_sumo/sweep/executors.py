@@ -216,7 +216,7 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
 
 
 def call_in_worker(
-    name: str, call: Callable[[], bytes], limits: WorkerLimits, hear: Callable[[str], None]
+    name: str, call: Callable[[], bytes], limits: WorkerLimits, on_output: Callable[[str], None]
 ) -> Outcome:
     """Call *call* in a separate process and return the outcome.
 
@@ -224,7 +224,7 @@ def call_in_worker(
         name: key of the task.
         call: the function; what it returns is the product.
         limits: limits of the worker.
-        hear: called with what was printed.
+        on_output: called with what was printed.
 
     Raises:
         ConfigError: the input is unusable.
@@ -232,7 +232,7 @@ def call_in_worker(
     with ProcessExecutor(1, limits) as executor:
         outcome = outcome_of(CallTask(name, call), executor)
     if outcome.output:
-        hear(outcome.output)
+        on_output(outcome.output)
     if outcome.failed is not None and outcome.failed.is_unusable:
         raise ConfigError(outcome.failed.message)
     return outcome

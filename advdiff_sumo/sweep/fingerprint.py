@@ -27,14 +27,14 @@ _LOG_SUFFIXES = (".json", ".pkl")
 _SENSORS = {"samples", "sweeps"}  # folders of sensor data in driving logs
 
 
-def canonical(value: Any) -> str:
+def canonical_json(value: Any) -> str:
     """Return a plain value as JSON in a unique form: sorted keys, no blanks."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
 
 
 def digest(value: Any) -> str:
     """Return the digest of a plain value, independent of the order of keys."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()[:KEY_DIGITS]
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()[:KEY_DIGITS]
 
 
 def file_digest(*paths: Path) -> str:

@@ -66,7 +66,7 @@ class SweepPlan:
         jobs: all episodes in the sweep's order.
         batches: the batches of seed scenes by key.
         junction_types: types of junction on the nets that a car can drive over.
-        wanted: number of episodes to run; in a diverse sweep fewer than there are jobs.
+        episode_count: number of episodes to run; in a diverse sweep fewer than there are jobs.
     """
 
     spec: SweepSpec
@@ -74,7 +74,7 @@ class SweepPlan:
     jobs: tuple[Job, ...]
     batches: Mapping[str, Batch]
     junction_types: tuple[str, ...]
-    wanted: int
+    episode_count: int
 
     @cached_property
     def by_key(self) -> Mapping[str, Job]:
@@ -135,8 +135,8 @@ def plan_sweep(spec: SweepSpec, *, drives: bool = True, places: bool = False) ->
             scene_key = digest([source, "scene", number])
             key = digest([cell_key, "episode", number])
             jobs.append(Job(key, len(jobs), cell, number, batch, scene_index, scene_key))
-    wanted = sum(options.episodes for _, options in entries)
-    return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(checks.roads), wanted)
+    episode_count = sum(options.episodes for _, options in entries)
+    return SweepPlan(spec, cells, tuple(jobs), batches, car_junctions(checks.roads), episode_count)
 
 
 def plan_run(run: Run) -> SweepPlan:

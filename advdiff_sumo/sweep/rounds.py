@@ -49,13 +49,13 @@ def rounds(plan: SweepPlan, store: Store, most: int) -> Iterator[tuple[SweepPlan
     All results of a round must be in *store* before the next one is requested.
     """
     keys = _chosen_keys(store)
-    size = max(plan.wanted // _ROUND_COUNT, _MIN_ROUND_SIZE)
+    size = max(plan.episode_count // _ROUND_COUNT, _MIN_ROUND_SIZE)
     row_by_key: dict[str, Row | None] = {}
     while len(keys) < most:
         # an interrupted round is completed with the results that it was chosen by
         round_start = len(keys) - len(keys) % size
         row_by_key |= {key: _row(plan, store, key) for key in keys[:round_start] if key not in row_by_key}
-        chosen = _next_keys(plan, row_by_key, min(size, plan.wanted - round_start))
+        chosen = _next_keys(plan, row_by_key, min(size, plan.episode_count - round_start))
         new_keys = [key for key in chosen if key not in keys][: min(most, round_start + size) - len(keys)]
         if not new_keys:
             return

@@ -14,7 +14,7 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
 from advdiff_sumo.sweep.run_folder import RunFolder, must_have_inputs, read_settings
-from advdiff_sumo.sweep.scheduler import Scheduler, Tell
+from advdiff_sumo.sweep.scheduler import EpisodeListener, Scheduler
 
 
 def run_settings(run: Run) -> dict[str, Any]:
@@ -44,8 +44,8 @@ def run_into(
     run: Run,
     folder: RunFolder,
     executor: Executor,
-    tell: Tell,
-    hear: Callable[[str], None] = lambda _: None,
+    on_episode: EpisodeListener,
+    on_output: Callable[[str], None] = lambda _: None,
     retries: int = 1,
     retry_failed: bool = False,
 ) -> int:
@@ -55,8 +55,8 @@ def run_into(
         run: the run.
         folder: folder for the results.
         executor: runs the tasks.
-        tell: called with each finished episode: its row, and its failure if it failed.
-        hear: called with what planners and policies printed.
+        on_episode: called with each finished episode: its row, and its failure if it failed.
+        on_output: called with what planners and policies printed.
         retries: number of further attempts if the worker of an episode dies.
         retry_failed: also run the failed episodes of *folder* again.
 
@@ -71,7 +71,7 @@ def run_into(
     finished = False
     try:
         with executor:
-            scheduler = Scheduler(plan, folder.store, executor, retries, tell, hear, refuses=True)
+            scheduler = Scheduler(plan, folder.store, executor, retries, on_episode, on_output, refuses=True)
             scheduler.run(job for job in plan.jobs if job.number not in done)
         finished = True
     finally:

@@ -26,7 +26,7 @@ _RETRIED_KINDS = {"worker_died", "simulator_crashed", "planner_crashed"}
 
 _log = logging.getLogger(__name__)
 
-Tell: TypeAlias = Callable[[Mapping[str, Any] | None, Failed | None], None]
+EpisodeListener: TypeAlias = Callable[[Mapping[str, Any] | None, Failed | None], None]
 
 
 @dataclass
@@ -38,8 +38,8 @@ class Scheduler:
         store: receives the results.
         executor: runs the tasks.
         retries: number of further attempts if the worker of a task dies.
-        tell: called with every stored episode: its row, and its failure if it failed.
-        hear: called with what planners and policies printed.
+        on_episode: called with every stored episode: its row, and its failure if it failed.
+        on_output: called with what planners and policies printed.
         refuses: whether unusable seed scenes or options raise instead of being recorded.
     """
 
@@ -47,8 +47,8 @@ class Scheduler:
     store: Store
     executor: Executor
     retries: int
-    tell: Tell
-    hear: Callable[[str], None] = lambda _: None
+    on_episode: EpisodeListener
+    on_output: Callable[[str], None] = lambda _: None
     refuses: bool = False
     _without_scene: dict[str, deque[Job]] = field(default_factory=dict)  # by batch
     _batches_to_make: deque[Batch] = field(default_factory=deque)
@@ -147,7 +147,7 @@ class Scheduler:
             self._submit(task)
             return
         if outcome.output:
-            self.hear(outcome.output)
+            self.on_output(outcome.output)
         outcome = outcome.tried(attempts)
         if isinstance(task, EpisodeTask) and self._driven_again(task, outcome):
             return
@@ -222,7 +222,7 @@ class Scheduler:
             raise
         row, failed = StoredEpisode.row_and_failure(content)
         _log.info("episode %s: %s", job.key, row["end"] if row else failed and failed.message)
-        self.tell(row, failed)
+        self.on_episode(row, failed)
 
     # --- the end -----------------------------------------------------------------------------------------
 

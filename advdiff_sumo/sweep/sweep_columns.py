@@ -8,7 +8,7 @@ from typing import Any
 from advdiff_sumo.metrics.columns import EPISODE_COLUMNS, Column
 from advdiff_sumo.sim.run_episodes import RunOptions
 from advdiff_sumo.sim.run_store import TABLES
-from advdiff_sumo.sweep.fingerprint import canonical
+from advdiff_sumo.sweep.fingerprint import canonical_json
 from advdiff_sumo.sweep.job_plan import Job
 from advdiff_sumo.sweep.situation import SITUATION_COLUMNS
 from advdiff_sumo.sweep.work import WORKER_COLUMNS
@@ -68,9 +68,9 @@ def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
         "scene_key": job.scene_key,
         "net": options.net,
         "target": options.target,
-        "target_options": canonical(options.target_options),
+        "target_options": canonical_json(options.target_options),
         "background": options.background,
-        "background_options": canonical(background_options),
+        "background_options": canonical_json(background_options),
         "attack": _word(
             background_options.get("attack", background_options.get("attacks", options.background))
         ),

@@ -14,7 +14,7 @@ from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
-from advdiff_sumo.sweep.scheduler import Scheduler, Tell
+from advdiff_sumo.sweep.scheduler import EpisodeListener, Scheduler
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 
@@ -47,7 +47,7 @@ class RemainingJobs:
             limit: number of episodes to consider; None for all.
             retry_failed: whether failed episodes count as missing.
         """
-        total = plan.wanted if limit is None else min(limit, plan.wanted)
+        total = plan.episode_count if limit is None else min(limit, plan.episode_count)
         chosen = chosen_so_far(plan, store).jobs[:total]
         jobs = tuple(job for job in chosen if store is None or not store.is_done(job.key, retry_failed))
         return RemainingJobs(jobs, len(chosen) - len(jobs), total)
@@ -71,7 +71,7 @@ class EpisodeCount:
         self._step = step
         self._hits = self._failed = 0
 
-    def tell(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
+    def on_episode(self, row: Mapping[str, Any] | None, failed: Failed | None) -> None:
         """Count one episode."""
         self._hits += bool(row and row["target_collision"])
         self._failed += failed is not None
@@ -101,7 +101,12 @@ def open_store(path: Path, plan: SweepPlan, workers: int, resume: bool) -> Store
 
 
 def run_sweep(
-    plan: SweepPlan, store: Store, todo: RemainingJobs, executor: Executor, retries: int, tell: Tell
+    plan: SweepPlan,
+    store: Store,
+    todo: RemainingJobs,
+    executor: Executor,
+    retries: int,
+    on_episode: EpisodeListener,
 ) -> int:
     """Run the remaining episodes and write the tables; return the number of missing episodes.
 
@@ -111,7 +116,7 @@ def run_sweep(
         todo: the remaining episodes.
         executor: runs the tasks.
         retries: number of further attempts if the worker of an episode dies.
-        tell: called with every stored episode.
+        on_episode: called with every stored episode.
 
     Raises:
         FileError: results cannot be stored; finished episodes are kept.
@@ -119,9 +124,9 @@ def run_sweep(
     try:
         with executor:
             for present, jobs in _parts(plan, store, todo):
-                Scheduler(present, store, executor, retries, tell).run(jobs)
+                Scheduler(present, store, executor, retries, on_episode).run(jobs)
         present = chosen_so_far(plan, store)
-        missing = consolidate(store, present) + plan.wanted - len(present.jobs)
+        missing = consolidate(store, present) + plan.episode_count - len(present.jobs)
     finally:
         store.drop_ballast()
     if not missing:

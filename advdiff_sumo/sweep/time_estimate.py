@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.sweep.executors import Executor, outcome_of
-from advdiff_sumo.sweep.fingerprint import canonical, file_digest, net_files
+from advdiff_sumo.sweep.fingerprint import canonical_json, file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.tasks import EpisodeTask, SceneTask
 
@@ -74,7 +74,7 @@ def _kind(plan: SweepPlan, job: Job) -> str:
     """Return a text that is equal for episodes of the same net, target and background."""
     options = plan.options(job)
     names = (options.net, options.target, options.background)
-    return canonical([*names, options.target_options, options.background_options])
+    return canonical_json([*names, options.target_options, options.background_options])
 
 
 def _spread(jobs: list[Job]) -> list[Job]:

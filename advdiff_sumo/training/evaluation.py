@@ -90,7 +90,7 @@ def evaluate_bundle(
     windows: WindowSet,
     judging: EvaluationSettings,
     device: torch.device,
-    tell: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Figures]:
     """Return the figures of each method of prediction, and of the log.
 
@@ -105,7 +105,7 @@ def evaluate_bundle(
         windows: with recorded futures.
         judging: settings.
         device: of the computation.
-        tell: called with the numbers of finished and of all windows.
+        on_progress: called with the numbers of finished and of all windows.
 
     Raises:
         ConfigError: the windows show another view of the map than the networks see.
@@ -128,8 +128,8 @@ def evaluate_bundle(
             rollout, times = draw(batch, context, judging.samples, generator)
             _add(sums[name], rollout, batch.repeat(times), times)
         done += len(rows)
-        if tell is not None:
-            tell(done, count)
+        if on_progress is not None:
+            on_progress(done, count)
     return {name: _figures(one, sums["log"]) for name, one in sums.items()}
 
 

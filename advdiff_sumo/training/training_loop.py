@@ -33,7 +33,7 @@ from advdiff_sumo.training.stage import Moment, Stage, Tally, add, means
 
 _REDRAW_S = 30.0
 
-Tell = Callable[[TrainingProgress, int, dict[str, float]], None]
+ProgressListener = Callable[[TrainingProgress, int, dict[str, float]], None]
 """Called after each step with progress, number of batches in the epoch, and means of the loss terms so far."""
 
 
@@ -100,11 +100,11 @@ class Trainer:
     Args:
         job: inputs of the training.
         events: TensorBoard writer.
-        tell: called after each step.
+        on_progress: called after each step.
     """
 
-    def __init__(self, job: TrainingJob, events: history.Events, tell: Tell) -> None:
-        self.job, self.events, self.tell = job, events, tell
+    def __init__(self, job: TrainingJob, events: history.Events, on_progress: ProgressListener) -> None:
+        self.job, self.events, self.on_progress = job, events, on_progress
         self.tree = SeedTree(job.seed, ("training", job.stage.name))
         options = job.options
         parameters = [p for p in job.stage.module.parameters() if p.requires_grad]
@@ -185,7 +185,7 @@ class Trainer:
             if time.monotonic() - saved > between_s:
                 self.save()
                 saved = time.monotonic()
-            self.tell(progress, len(order), means(progress.sums))
+            self.on_progress(progress, len(order), means(progress.sums))
         return True
 
     def _order(self) -> list[IntArray]:

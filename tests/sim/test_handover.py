@@ -36,7 +36,7 @@ class Released:
     states: np.ndarray
     at: int
     waited_s: float
-    rough: list[str]
+    misaligned_ids: list[str]
 
     def check_smooth(self, corner_rad: float = 0.0) -> None:
         """Assert that nothing jumps in the step in which SUMO takes over.
@@ -113,7 +113,7 @@ def hand_over(
     assert not actuator.controlled_rows
     for _ in range(10):
         step()
-    return Released(np.array(out), taken, STEP_S * (taken - begun), handover.rough)
+    return Released(np.array(out), taken, STEP_S * (taken - begun), handover.misaligned_ids)
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 12.0])
@@ -153,7 +153,7 @@ def test_on_a_junction(crossing: Path, route: tuple[str, str]) -> None:
     got.check_smooth()
     turns = route != ("WC", "CE")
     assert (got.waited_s > 0.0) is turns, "in a turn SUMO would swing it off its course: it waits for the end"
-    assert got.rough == []
+    assert got.misaligned_ids == []
 
 
 def test_a_vehicle_standing_in_a_turn_yields_to_oncoming_traffic_and_leaves(crossing: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_vehicle_standing_in_a_turn_yields_to_oncoming_traffic_and_leaves(cros
             actuator.remove_off_lanes()
             boxes.append(corners(world.xy_m[:2], world.yaw_rad[:2], world.size_m[:2]))
             speeds.append(world.speed_mps[:2].copy())
-    assert handover.rough == []
+    assert handover.misaligned_ids == []
     assert not actuator.moved
     assert world.lane[0] == "CN_0"
     assert world.lane[1] == "CW_0"
@@ -200,7 +200,7 @@ def test_a_misaligned_standing_vehicle_is_aligned_first(street: Path, turn: floa
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.3, turn, 8.0)
     got.check_smooth()
     assert 0.0 < got.waited_s <= 8.0
-    assert got.rough == []
+    assert got.misaligned_ids == []
 
 
 def test_a_misaligned_standing_vehicle_starts(street: Path) -> None:
@@ -208,14 +208,14 @@ def test_a_misaligned_standing_vehicle_starts(street: Path) -> None:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 0.4, 0.0)
     got.check_smooth()
     assert 0.0 < got.waited_s <= 8.0
-    assert got.rough == []
+    assert got.misaligned_ids == []
 
 
 def test_a_vehicle_that_cannot_be_aligned_is_handed_back_and_counted(street: Path) -> None:
     """It stands across its lane, from which no lane leads on."""
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), "WM_0", 100.0, 0.0, 1.3, 0.0)
-    assert got.rough == ["b"]
+    assert got.misaligned_ids == ["b"]
     assert got.waited_s == pytest.approx(8.0, abs=0.5)
 
 
@@ -257,7 +257,7 @@ def test_any_offset_on_a_straight(
     )  # faster across the lane, it leaves the road and needs all of it to return
     with stage(street) as s:
         got = hand_over(s, RoadMap.read(street), ("WM", "ME"), f"WM_{lane}", s_m, d_m, turn, speed)
-    if not got.rough:
+    if not got.misaligned_ids:
         got.check_smooth()
 
 
@@ -274,7 +274,7 @@ def test_any_offset_on_a_straight(
 def test_any_offset_in_a_curve(bend: Path, s_m: float, d_m: float, turn: float, speed: float) -> None:
     with stage(bend) as s:
         got = hand_over(s, RoadMap.read(bend), ("AB", "BZ"), "AB_0", s_m, d_m, turn, speed)
-    if not got.rough:
+    if not got.misaligned_ids:
         got.check_smooth(BEND_CORNER_RAD)
 
 

@@ -82,8 +82,8 @@ def test_a_quotient_of_a_figure_that_is_zero_is_undefined() -> None:
 
 def test_a_condition_names_its_figures_also_undefined_ones() -> None:
     text = "episodes > 1 or median_min_ttc_s < 1"
-    assert Condition(text, NAMES).told(FIGURES) == "episodes = 40, median_min_ttc_s is undefined"
-    assert Condition("1 > 0", NAMES).told(FIGURES) == ""
+    assert Condition(text, NAMES).values_text(FIGURES) == "episodes = 40, median_min_ttc_s is undefined"
+    assert Condition("1 > 0", NAMES).values_text(FIGURES) == ""
 
 
 @given(st.text(max_size=60))

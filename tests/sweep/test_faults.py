@@ -66,9 +66,9 @@ def tight(undisturbed: Store, tmp_path: Path) -> WorkerLimits:
     return WorkerLimits(max(LEAST_TIMEOUT_S, TIMES_THE_SLOWEST * slowest), 600, 6, 0.9, logs)
 
 
-def run(plan: SweepPlan, store: Store, executor: ProcessExecutor, tell: Any = None, **more: Any) -> int:
+def run(plan: SweepPlan, store: Store, executor: ProcessExecutor, on_episode: Any = None, **more: Any) -> int:
     todo = RemainingJobs.of(plan, store, **more)
-    return run_sweep(plan, store, todo, executor, 4, tell or (lambda *_: None))
+    return run_sweep(plan, store, todo, executor, 4, on_episode or (lambda *_: None))
 
 
 def test_every_fault_costs_its_own_episode_only(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.cli.train import _train
+from advdiff_sumo.cli.train import _train_with_progress
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.training import history
 from tests.training.test_training_loop import job, run
@@ -35,8 +35,8 @@ def test_a_training_that_goes_on_opens_its_events_at_its_checkpoint(
     monkeypatch.setattr(history, "open_events", lambda folder, step: opened.append((folder, step)))
     out = tmp_path / "out"
     with pytest.raises(WeightsError, match="no such checkpoint"):
-        _train(job(window_folder, out), True, terminal(stderr=True))
+        _train_with_progress(job(window_folder, out), True, terminal(stderr=True))
     assert opened == []
     run(job(window_folder, out), stop_after=2)
-    assert _train(job(window_folder, out), True, terminal(stderr=True))
+    assert _train_with_progress(job(window_folder, out), True, terminal(stderr=True))
     assert opened == [(out / "events", 2)]

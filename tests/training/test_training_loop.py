@@ -48,11 +48,11 @@ def job(
 def run(made: TrainingJob, resume: bool = False, stop_after: int | None = None) -> None:
     """Train; with *stop_after*, Ctrl-C comes in that step."""
 
-    def tell(progress: checkpoint.TrainingProgress, *_: object) -> None:
+    def on_progress(progress: checkpoint.TrainingProgress, *_: object) -> None:
         if progress.step == stop_after:
             signal.raise_signal(signal.SIGINT)
 
-    trainer = Trainer(made, NoEvents(), tell)
+    trainer = Trainer(made, NoEvents(), on_progress)
     if resume:
         trainer.resume()
     if stop_after is None:

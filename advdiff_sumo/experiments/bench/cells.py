@@ -143,5 +143,7 @@ def run_cells(
     remaining = RemainingJobs.of(cells.plan, store)
     reporter.begin("episodes", len(remaining.jobs) + remaining.done, remaining.done)
     episode_count = EpisodeCount(reporter.step)
-    run_sweep(cells.plan, store, remaining, ProcessExecutor(workers, limits), _RETRIES, episode_count.tell)
+    run_sweep(
+        cells.plan, store, remaining, ProcessExecutor(workers, limits), _RETRIES, episode_count.on_episode
+    )
     return store

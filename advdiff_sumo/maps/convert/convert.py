@@ -61,7 +61,7 @@ class ConversionResult:
         tracks: its lanes and connectors with their measured widths and speed limits.
         layout: which parts of them became edge lanes.
         plan: the net as planned.
-        doubles: connections left out because SUMO holds only one between the same two lanes.
+        duplicates: connections left out because SUMO holds only one between the same two lanes.
         counts: how many items of each kind were repaired, cut or left out.
         netconvert_warnings: netconvert's own warnings.
         foot_paths: which crossings the net got; None if none were requested.
@@ -75,7 +75,7 @@ class ConversionResult:
     tracks: list[Track]
     layout: Layout
     plan: NetPlan
-    doubles: list[LaneConnection]
+    duplicates: list[LaneConnection]
     counts: Counter[str]
     netconvert_warnings: tuple[str, ...]
     foot_paths: FootPaths | None = None
@@ -143,7 +143,7 @@ def convert_source(
     layout.counts["lanes without usable width, made 3.5 m wide"] = sum(
         not track.lane.is_connector and not len(track.widths) for track in tracks
     )
-    connections, doubles = find_connections(layout)
+    connections, duplicates = find_connections(layout)
     plan = with_control(plan_drivable(tracks, layout, connections, keeps_left), source, guess_signals)
     source = _with_idle_signal_warning(source, plan)
     make_folder(out_net.parent, "choose another output path")
@@ -170,7 +170,7 @@ def convert_source(
         tracks,
         layout,
         plan,
-        doubles,
+        duplicates,
         source.notes + layout.counts,
         warnings,
         foot_paths,

@@ -204,7 +204,7 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
         "repaired": sum(link in held for link in links if link not in stated),
         "lost": [[tokens[a], tokens[b]] for a, b in links if (a, b) not in held],
         "invented": sorted(map(list, set(net.connections) - planned), key=str),
-        "second_ways_left_out": [[tokens[n] for n in double.lanes] for double in result.doubles],
+        "second_ways_left_out": [[tokens[n] for n in duplicate.lanes] for duplicate in result.duplicates],
         "parts_drawn_by_several_ways": _repeated_parts(result),
     }
 

@@ -84,7 +84,7 @@ def build(
     nets: LogNets,
     options: BuildOptions,
     out: Path,
-    tell: Callable[[str, int], None],
+    on_drive: Callable[[str, int], None],
 ) -> Built:
     """Write the windows of all drives in *logs*, one file for each net.
 
@@ -93,7 +93,7 @@ def build(
         nets: nets to choose from.
         options: which windows.
         out: a ``.safetensors`` file if all drives are on one net, or a folder.
-        tell: called with each drive's name and its number of windows.
+        on_drive: called with each drive's name and its number of windows.
 
     Raises:
         InputError: a log or a net cannot be used, or no drive is on any of the nets.
@@ -112,7 +112,7 @@ def build(
                     _with_unique_name(drive, name_counts[drive.name]), road, options, focal, builders
                 )
                 built.count(drive, count)
-            tell(drive.name, count)
+            on_drive(drive.name, count)
     names = distinct_names({net: base_name(net) for net in builders})
     window_files = {
         names[net]: replace(builder, map_name=names[net]).build()

@@ -130,7 +130,7 @@ def plan(options: SimulateOptions) -> list[Shard]:
 
 
 def simulate(
-    shards: Sequence[Shard], out: Path, workers: int, tell: Callable[[ShardResult], None]
+    shards: Sequence[Shard], out: Path, workers: int, on_shard: Callable[[ShardResult], None]
 ) -> list[ShardResult]:
     """Make those of *shards* that *out* lacks.
 
@@ -138,7 +138,7 @@ def simulate(
         shards: see :func:`plan`.
         out: folder of the files; random nets are kept in its sub-folder ``nets``.
         workers: number of processes; the files do not depend on it.
-        tell: called with each shard when it is finished or was found complete.
+        on_shard: called with each shard when it is finished or was found complete.
 
     Returns:
         All shards in their order.
@@ -152,10 +152,10 @@ def simulate(
     }
     make_folder(out / _NETS)
     for result in done.values():
-        tell(result)
+        on_shard(result)
     for result in _make_shards([s for s in shards if s.name not in done], out, workers):
         done[result.shard.name] = result
-        tell(result)
+        on_shard(result)
     results = [done[shard.name] for shard in shards]
     failed = [result for result in results if result.problem]
     if failed:

@@ -197,7 +197,7 @@ def check_connectivity(data: dict[str, object], result: ConversionResult, net: W
         (a, b) for a in roads for x in connectivity[a]["outgoing"] for b in connectivity[x]["outgoing"]
     }
     assert found == given_links
-    assert len(result.doubles) == 0
+    assert len(result.duplicates) == 0
 
 
 def _nearest(line: FloatArray, lines: dict[str, shapely.LineString]) -> str:

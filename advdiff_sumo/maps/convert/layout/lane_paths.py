@@ -36,26 +36,26 @@ class LaneConnection:
 
 
 def find_connections(layout: Layout) -> tuple[list[LaneConnection], list[LaneConnection]]:
-    """Return (connections, doubles), both ordered by origin.
+    """Return (connections, duplicates), both ordered by origin.
 
-    SUMO holds one connection between two lanes. If there are several, the shortest is kept; the others are *doubles*.
+    SUMO holds one connection between two lanes. Of several, the shortest is kept; the others are *duplicates*.
     """
     following: dict[int, list[int]] = defaultdict(list)
     for a, b in layout.links:
         following[a].append(b)
     shortest: dict[tuple[Piece, Piece], LaneConnection] = {}
-    doubles = []
+    duplicates = []
     for piece in layout.all_pieces():
         for connection in _connections_from(layout, following, piece):
             key = (connection.origin, connection.target)
             if key not in shortest:
                 shortest[key] = connection
             elif connection.length_m < shortest[key].length_m:
-                doubles.append(shortest[key])
+                duplicates.append(shortest[key])
                 shortest[key] = connection
             else:
-                doubles.append(connection)
-    return list(shortest.values()), doubles
+                duplicates.append(connection)
+    return list(shortest.values()), duplicates
 
 
 def _connections_from(layout: Layout, following: dict[int, list[int]], piece: Piece) -> list[LaneConnection]:

@@ -27,10 +27,13 @@ def divide_double_connections(layout: Layout, clear: Mapping[int, Piece]) -> Non
         layout: the layout to change.
         clear: the stretch of each connector that may become an edge.
     """
-    connections, doubles = find_connections(layout)
+    connections, duplicates = find_connections(layout)
     kept = {(connection.origin, connection.target): set(connection.lanes) for connection in connections}
-    for double in doubles:
-        if _promote(layout, set(double.lanes) - kept[double.origin, double.target], clear) is not None:
+    for duplicate in duplicates:
+        if (
+            _promote(layout, set(duplicate.lanes) - kept[duplicate.origin, duplicate.target], clear)
+            is not None
+        ):
             layout.counts["connectors made edges as a second way between two lanes"] += 1
 
 

@@ -23,7 +23,7 @@ from advdiff_sumo.maps.convert.netplan import (
     turn_speed,
 )
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
-from advdiff_sumo.maps.convert.osm.rim_joints import Joint, JointWay
+from advdiff_sumo.maps.convert.osm.rim_joints import Joint, RimConnection
 
 JointNames: TypeAlias = dict[tuple[str, bool], str]
 """Names of the junctions at ends of stretches, by stretch id and whether the map leads into the stretch there."""
@@ -60,7 +60,7 @@ def joined_plan(
     )
 
 
-def _connection_plan(joint_way: JointWay, joint: Joint) -> ConnectionPlan:
+def _connection_plan(joint_way: RimConnection, joint: Joint) -> ConnectionPlan:
     map_lane, street_lane = (joint_way.edge.id, joint_way.lane), (joint.stretch.id, joint_way.street_lane)
     origin, target = (map_lane, street_lane) if joint.is_exit else (street_lane, map_lane)
     lane = joint_way.edge.lanes[joint_way.lane]

@@ -26,7 +26,7 @@ CURVE_POINTS = 16  # points of a curve
 
 
 @dataclass(frozen=True, eq=False)
-class JointWay:
+class RimConnection:
     """A connection between a lane of a map edge and a lane of a street: both lane indices, and line (N, 2) in m."""
 
     edge: EdgePlan
@@ -50,7 +50,7 @@ class Joint:
     stretch: StreetStretch
     is_exit: bool
     rims: tuple[RimEnd, ...]
-    ways: tuple[JointWay, ...]
+    ways: tuple[RimConnection, ...]
     trim_m: float
 
 
@@ -111,7 +111,7 @@ def _build_joint(
     trim_m = float(np.clip(max(_bend_length_m(rim, line) for rim in rims), 0.0, longest_trim_m))
     lanes = _street_lanes(stretch, is_exit, trim_m, lefthand)
     joined_edges = {rim.edge.id for rim in rims}
-    ways: list[JointWay] = []
+    ways: list[RimConnection] = []
     kept = []
     for rim, pairs in _paired(rims, lanes, every_street_lane=not is_exit).items():
         rim_ways = [_curve(rim, lane, street_lane, lanes) for lane, street_lane in pairs]
@@ -181,7 +181,7 @@ def _paired(
     return pairs
 
 
-def _curve(rim: RimEnd, lane: int, street_lane: int, lanes: StreetLanes) -> JointWay:
+def _curve(rim: RimEnd, lane: int, street_lane: int, lanes: StreetLanes) -> RimConnection:
     """Return the connection of two lanes: a cubic that has the headings of both lanes at its ends."""
     ends = [(rim.at_m[lane], rim.along), (lanes.at_m[street_lane], lanes.along)]
     (start, along0), (end, along1) = ends if rim.is_exit else ends[::-1]
@@ -189,4 +189,4 @@ def _curve(rim: RimEnd, lane: int, street_lane: int, lanes: StreetLanes) -> Join
     t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
     bend = (t**3 - 2.0 * t**2 + t) * along0 + (t**3 - t**2) * along1
     shape = start + (3.0 * t**2 - 2.0 * t**3) * (end - start) + reach * bend
-    return JointWay(rim.edge, rim.lanes[lane], lanes.numbers[street_lane], shape)
+    return RimConnection(rim.edge, rim.lanes[lane], lanes.numbers[street_lane], shape)

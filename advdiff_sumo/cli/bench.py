@@ -85,14 +85,14 @@ def traffic(
 
     advdiff-sumo bench traffic --data windows/nuscenes --out runs/bench-nuscenes
     """
-    given = {
+    cli_options = {
         "scenes": scenes,
         "data": [str(path.resolve()) for path in data or ()] or None,
         "policies": policies,
         "seeds": seeds,
         "samples": samples,
     }
-    run_or_print("traffic", out, workers, 300.0, given)
+    run_or_print("traffic", out, workers, 300.0, cli_options)
 
 
 @bench.command()
@@ -110,9 +110,9 @@ def adversarial(
 
     advdiff-sumo bench adversarial --scenes 300 --policies diffusion,unguided,replay,sumo --out runs/guided
     """
-    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
-    given |= {"licence": licence}
-    run_or_print("adversarial", out, workers, timeout, given)
+    cli_options = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
+    cli_options |= {"licence": licence}
+    run_or_print("adversarial", out, workers, timeout, cli_options)
 
 
 @bench.command()
@@ -133,9 +133,9 @@ def transfer(
 
     advdiff-sumo bench transfer --policies diffusion,strive --targets lane_graph,IDM
     """
-    given = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
-    given |= {"steps": steps, "licence": licence}
-    run_or_print("transfer", out, workers, timeout, given)
+    cli_options = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
+    cli_options |= {"steps": steps, "licence": licence}
+    run_or_print("transfer", out, workers, timeout, cli_options)
 
 
 @bench.command()
@@ -158,9 +158,9 @@ def fewshot(
 
     advdiff-sumo bench fewshot --targets EIDM --seeds 3
     """
-    given = {"scenes": scenes, "targets": targets, "seeds": seeds, "horizon_s": horizon}
-    given |= {"steps": steps, "licence": licence}
-    run_or_print("fewshot", out, workers, timeout, given)
+    cli_options = {"scenes": scenes, "targets": targets, "seeds": seeds, "horizon_s": horizon}
+    cli_options |= {"steps": steps, "licence": licence}
+    run_or_print("fewshot", out, workers, timeout, cli_options)
 
 
 @bench.command()
@@ -189,7 +189,7 @@ def defects(
 
     advdiff-sumo bench defects --policies sumo,diffusion --defects late,headway,priority:weak --scenes 30
     """
-    given = {
+    cli_options = {
         "scenes": scenes,
         "policies": policies,
         "targets": targets,
@@ -198,7 +198,7 @@ def defects(
         "horizon_s": horizon,
         "licence": licence,
     }
-    run_or_print("defects", out, workers, timeout, given)
+    run_or_print("defects", out, workers, timeout, cli_options)
 
 
 def run_or_print(
@@ -206,7 +206,7 @@ def run_or_print(
     out: Path | None,
     workers: int | None,
     timeout_s: float,
-    given: dict[str, Any],
+    cli_options: dict[str, Any],
     as_json: bool = False,
 ) -> None:
     """Run a bench and print its table; print only the table if the bench is finished.
@@ -216,7 +216,7 @@ def run_or_print(
         out: its folder; None: ``runs/bench-NAME``.
         workers: number of worker processes; None: one per core.
         timeout_s: longest time for one episode.
-        given: options of the command line; None: not given. Policies, targets and defects may be texts with commas.
+        cli_options: of the command line; None: not given. Policies, targets and defects may be texts with commas.
         as_json: print one JSON object and nothing else; for ``defects`` only.
     """
     one_thread_for_good()
@@ -228,9 +228,11 @@ def run_or_print(
     end_as_by_ctrl_c()
     console = terminal(quiet=as_json)
     path = (out or FOLDER / f"bench-{name}").resolve()
-    names = {option: _split_names(given.get(option)) for option in ("policies", "targets", "defects")}
-    scenes, log_defaults = _log_path_and_defaults(given.get("scenes"))
-    request = request_of(name, path, {**DEFAULTS[name], **log_defaults}, given | names | {"scenes": scenes})
+    names = {option: _split_names(cli_options.get(option)) for option in ("policies", "targets", "defects")}
+    scenes, log_defaults = _log_path_and_defaults(cli_options.get("scenes"))
+    request = request_of(
+        name, path, {**DEFAULTS[name], **log_defaults}, cli_options | names | {"scenes": scenes}
+    )
     _print_changed_code(Folder(path, request))
     table = finished_table(Folder(path, request))
     printed: list[str] = []

@@ -51,10 +51,10 @@ def check_policy(
     from advdiff_sumo.experiments.policy_trial import check_background
 
     _check_run_options(assign or [])
-    given: dict[str, Any] = {"background": name, "net": net, "episodes": episodes, "seed": seed}
-    given |= {"horizon_s": horizon, "scene": {"scenes_per_warmup": episodes}}
-    given |= {"sim": {"record_natural": False, "record_plans": 0}}
-    options = options_given(None, given, {}, assign or [])
+    cli_options: dict[str, Any] = {"background": name, "net": net, "episodes": episodes, "seed": seed}
+    cli_options |= {"horizon_s": horizon, "scene": {"scenes_per_warmup": episodes}}
+    cli_options |= {"sim": {"record_natural": False, "record_plans": 0}}
+    options = options_given(None, cli_options, {}, assign or [])
     check = partial(check_background, options, math.inf if within_ms is None else within_ms)
     with ExitStack() as stack:
         limits = limits_of(stack, timeout, math.inf, memory)

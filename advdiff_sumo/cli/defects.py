@@ -90,7 +90,7 @@ def defects(
         raise ConfigError("--target is empty; name a planner, such as lane_graph")
     parts = (target, *(re.split(r"[/\\]", path)[-1].split(".")[0] for path in net or ()))
     folder_name = "-".join(re.sub(r"[^\w.-]+", "-", part) for part in parts)
-    given: dict[str, Any] = {
+    cli_options: dict[str, Any] = {
         "scenes": scenes,
         "policies": background or ["sumo"],
         "targets": [target],
@@ -100,7 +100,7 @@ def defects(
         "licence": licence,
         **_nets_and_options(net or [], assign or []),
     }
-    run_or_print("defects", out or FOLDER / f"defects-{folder_name}", workers, timeout, given, as_json)
+    run_or_print("defects", out or FOLDER / f"defects-{folder_name}", workers, timeout, cli_options, as_json)
 
 
 def _nets_and_options(nets: list[str], assignments: list[str]) -> dict[str, Any]:

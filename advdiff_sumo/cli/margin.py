@@ -93,9 +93,9 @@ def margin(
     from advdiff_sumo.sim.free_folder import named_folder
 
     attacks = _attacks(attack, by, within)
-    given: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
-    given |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
-    options = options_given(config, given, {"attackers": 1}, assign or [], defect)
+    cli_options: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
+    cli_options |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
+    options = options_given(config, cli_options, {"attackers": 1}, assign or [], defect)
     planted = options.target_options.get("defects", ())
     words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")

@@ -84,13 +84,18 @@ def run(
     """
     one_thread_for_good()
     end_as_by_ctrl_c()
-    given: dict[str, Any] = {"net": net, "target": target, "background": background, "episodes": episodes}
-    given |= {"demand": demand and str(demand), "scenes": scenes and str(scenes), "horizon_s": horizon}
+    cli_options: dict[str, Any] = {
+        "net": net,
+        "target": target,
+        "background": background,
+        "episodes": episodes,
+    }
+    cli_options |= {"demand": demand and str(demand), "scenes": scenes and str(scenes), "horizon_s": horizon}
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
     policy |= {"attack": attack, "guide": guide, "weights": flags.weights_of(weights)}
     policy |= {"reward": reward and str(reward.resolve()), "device": device}
     resumed = _settings_to_resume(out, resume, retry_failed)
-    options = options_given(config or resumed, given | {"seed": seed}, policy, assign or [], defect)
+    options = options_given(config or resumed, cli_options | {"seed": seed}, policy, assign or [], defect)
     prepared, notes = _prepared(options, gui)
     console = terminal(quiet=quiet or as_json)
     folder = _resumed_or_new(console, prepared, notes, out, resumed)
@@ -276,7 +281,7 @@ def _settings_to_resume(out: Path | None, resume: bool, retry_failed: bool) -> P
 
 def options_given(
     config: Path | None,
-    given: Mapping[str, Any],
+    cli_options: Mapping[str, Any],
     policy: Mapping[str, Any],
     assignments: list[str],
     defects: list[str] | None = None,
@@ -285,7 +290,7 @@ def options_given(
 
     Args:
         config: TOML file of options; None: no file.
-        given: options of the command line by name; None: not given.
+        cli_options: options of the command line by name; None: not given.
         policy: options of the background, which a file has in the table ``background_options``.
         assignments: NAME=VALUE of ``--set``.
         defects: defects to plant in the target, which a file has in the table ``target_options``.
@@ -304,7 +309,7 @@ def options_given(
             raise ConfigError(f"{config}: [options] is not a table")
         if values.keys() & {"grid", "cases"}:
             raise ConfigError(f"{config}: is the file of a sweep; give it to advdiff-sumo sweep")
-    values |= {key: value for key, value in given.items() if value is not None}
+    values |= {key: value for key, value in cli_options.items() if value is not None}
     policy_options = {key: value for key, value in policy.items() if value is not None}
     if policy_options:
         _add_to(values, "background_options", policy_options)

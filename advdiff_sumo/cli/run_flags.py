@@ -145,8 +145,8 @@ def check_display(gui: bool) -> None:
         raise ConfigError("--gui needs a display; set DISPLAY, or leave --gui out")
 
 
-def weights_of(given: str | None) -> str | None:
+def weights_of(weights: str | None) -> str | None:
     """Return ``--weights`` as an option of a run: an absolute path, or the name of shipped networks."""
-    if given is None or not (Path(given).exists() or Path(given).suffix):
-        return given
-    return str(Path(given).resolve())
+    if weights is None or not (Path(weights).exists() or Path(weights).suffix):
+        return weights
+    return str(Path(weights).resolve())

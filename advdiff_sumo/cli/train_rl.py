@@ -65,8 +65,8 @@ def train_rl(
     from advdiff_sumo.rl.sources import check
     from advdiff_sumo.rl.train import ACTOR, PpoTraining, train
 
-    given: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
-    adversary, ppo = _options({key: value for key, value in given.items() if value}, assign or [])
+    cli_options: dict[str, Any] = {"nets": net, "targets": target, "prior": prior}
+    adversary, ppo = _options({key: value for key, value in cli_options.items() if value}, assign or [])
     training = PpoTraining(out, steps, seed, adversary, ppo, workers)
     check(adversary)
     claim(out, resume)
@@ -81,7 +81,7 @@ def train_rl(
     _print_result(console, out / ACTOR, state)
 
 
-def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
+def _options(cli_options: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOptions, PpoOptions]:
     """Return the options of the environment, and those of PPO, which are set as ``ppo.NAME``.
 
     Raises:
@@ -89,7 +89,7 @@ def _options(given: dict[str, Any], assignments: list[str]) -> tuple[AdversaryOp
     """
     from advdiff_sumo.rl.rl_options import PpoOptions, adversary_options
 
-    values = dict(given)
+    values = dict(cli_options)
     for assignment in assignments:
         set_dotted(values, assignment)
     ppo = values.pop("ppo", {})

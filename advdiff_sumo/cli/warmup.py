@@ -66,8 +66,8 @@ def warmup(
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
     policy |= {"attack": attack, "weights": flags.weights_of(weights), "device": device}
     background = background or ("diffusion" if licence == "reckless" else "scripted")
-    given: dict[str, Any] = {"net": net, "target": target, "seed": seed, "horizon_s": horizon}
-    options = options_given(None, given | {"background": background}, policy, assign or [], defect)
+    cli_options: dict[str, Any] = {"net": net, "target": target, "seed": seed, "horizon_s": horizon}
+    options = options_given(None, cli_options | {"background": background}, policy, assign or [], defect)
     for line in _warm_up(options, steps, out, licence, timeout):
         terminal().print(line, soft_wrap=True)
 

@@ -18,11 +18,11 @@ CONTENTS: Mapping[str, str] = {
 """Content of a file, by format."""
 
 
-def of_another_format(path: Path, kind: str, found: str, remedy: str) -> WeightsError:
-    """Return the error for a file of format *found* instead of *kind*; *remedy* is used if a format is unknown."""
+def of_another_format(path: Path, kind: str, actual: str, remedy: str) -> WeightsError:
+    """Return the error for a file of format *actual* instead of *kind*; *remedy* is used if a format is unknown."""
     problem = f"is not of the format {kind}"
-    if found not in CONTENTS or kind not in CONTENTS:
+    if actual not in CONTENTS or kind not in CONTENTS:
         return WeightsError(path, problem, remedy)
     return WeightsError(
-        path, f"{problem}, it holds {CONTENTS[found]}", f"name a file that holds {CONTENTS[kind]}"
+        path, f"{problem}, it holds {CONTENTS[actual]}", f"name a file that holds {CONTENTS[kind]}"
     )

@@ -114,8 +114,8 @@ class NuScenesReader:
         else:
             folders = sorted(p.parent for p in self.root.glob("v1.0-*/scene.json"))
         if not folders or not folders[0].is_dir():
-            wanted = self.version or "v1.0-* folder with a scene.json"
-            raise LogError(self.root, f"holds no {wanted}", "give the root of a nuScenes dataset")
+            expected = self.version or "v1.0-* folder with a scene.json"
+            raise LogError(self.root, f"holds no {expected}", "give the root of a nuScenes dataset")
         if len(folders) > 1:
             versions = ", ".join(p.name for p in folders)
             raise LogError(self.root, f"holds several versions ({versions})", "give one of these folders")

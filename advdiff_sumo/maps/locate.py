@@ -169,10 +169,10 @@ class LaneIndex:
         is_on_lane = np.zeros(len(xy_m), dtype=np.bool_)
         certain_cost = (narrowest_m / SIGMA_DISTANCE_M) ** 2 - _COST_ROUNDING
         is_on_lane[near.point] = candidate_cost(near, yaw_rad) < certain_cost
-        rest = np.flatnonzero(~is_on_lane)
-        if len(rest):
-            best = self.best(xy_m[rest], yaw_rad[rest], radius_m, allowed)
-            is_on_lane[rest[best.point]] = np.abs(best.d_m) <= half_width_m[best.lane]
+        off_lane = np.flatnonzero(~is_on_lane)
+        if len(off_lane):
+            best = self.best(xy_m[off_lane], yaw_rad[off_lane], radius_m, allowed)
+            is_on_lane[off_lane[best.point]] = np.abs(best.d_m) <= half_width_m[best.lane]
         return is_on_lane
 
     @cached_property

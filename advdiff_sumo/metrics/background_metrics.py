@@ -51,10 +51,10 @@ def compare_with_sumo(record: EpisodeRecord, touches: Touches | None = None) -> 
     """
     touches = touches if touches is not None else find_touches(record.tracks)
     ids = record.tracks.ids
-    ours = {
+    contacts = {
         (k, *sorted((ids[i], ids[j])))
         for k, i, j in overlapping_steps(touches)
         if not both_walk(record, i, j, k)
     }
     listed = {(c.step, *sorted((c.collider, c.victim))) for c in record.sumo_collisions}
-    return SumoComparison(len(listed), len(listed - ours), len(ours - listed))
+    return SumoComparison(len(listed), len(listed - contacts), len(contacts - listed))

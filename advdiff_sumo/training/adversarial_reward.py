@@ -102,8 +102,8 @@ def among_background(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor
     before = pair_overlap(standing(batch), batch.size, others) > 0.0
     counted = moving[:, :, None] & others[:, None] & ~before.squeeze(-1)
     pairs = torch.where(counted[..., None], overlap, 0.0)
-    both = torch.where((moving[:, :, None] & moving[:, None])[..., None], 0.5, 1.0)
-    return (both * pairs).sum((1, 2))
+    pair_weight = torch.where((moving[:, :, None] & moving[:, None])[..., None], 0.5, 1.0)
+    return (pair_weight * pairs).sum((1, 2))
 
 
 def over_edge(path: Rollout, batch: SceneBatch, target: Tensor) -> Tensor:

@@ -101,8 +101,8 @@ def _along(path: Floats, way: Floats) -> tuple[Floats, Floats]:
     keep = lengths > 1e-6
     start, unit, lengths = path[:-1][keep], steps[keep] / lengths[keep, None], lengths[keep]
     begin = np.concatenate(([0.0], np.cumsum(lengths)[:-1]))
-    _, here, beside = _project(path)
-    at = here + way
+    _, along_m, beside = _project(path)
+    at = along_m + way
     index = np.clip(np.searchsorted(begin, at, side="right") - 1, 0, len(begin) - 1)
     direction = unit[index]
     left = np.stack((-direction[:, 1], direction[:, 0]), axis=-1)

@@ -120,9 +120,11 @@ def elbo(encoded: Encoded, batch: SceneBatch, options: ElboOptions, kl_share: fl
     """
     error = known_mean(reconstruction(encoded.rollout, batch), batch)
     divergence = encoded.posterior.kl(encoded.context.prior)  # (B, A, Z)
-    who = modelled(batch)
-    kl = masked_mean(divergence.sum(-1), who)
-    paid = masked_mean(divergence.clamp(min=options.free_nats).sum(-1), who) if options.free_nats else kl
+    is_modelled = modelled(batch)
+    kl = masked_mean(divergence.sum(-1), is_modelled)
+    paid = (
+        masked_mean(divergence.clamp(min=options.free_nats).sum(-1), is_modelled) if options.free_nats else kl
+    )
     loss = error + kl_share * options.kl_weight * paid
     return {"loss": loss, "reconstruction": error, "kl": kl}
 

@@ -146,8 +146,8 @@ def split(windows: WindowSet, share: float, seed: int) -> tuple[WindowSet, Windo
             "all windows are of one drive, so none can be held out; add more data, or --val (train) or --all (evaluate)"
         )
     ordered = sorted(rank, key=lambda name: (rank[name], name))
-    out = [name for name in ordered[:-1] if rank[name] < share] or ordered[:1]
-    held = np.isin(names, out)
+    held_out_names = [name for name in ordered[:-1] if rank[name] < share] or ordered[:1]
+    held = np.isin(names, held_out_names)
     return windows.subset(np.flatnonzero(~held)), windows.subset(np.flatnonzero(held))
 
 
@@ -170,13 +170,13 @@ def of_epoch(windows: WindowSet, count: int, driven_share: float, rng: np.random
         return _spread(np.arange(len(windows)), count, rng)
     kinds = np.flatnonzero(windows.driven), np.flatnonzero(~windows.driven)
     many = round(count * driven_share)
-    wanted = many, count - many
-    if any(number and not len(kind) for kind, number in zip(kinds, wanted, strict=True)):
+    counts = many, count - many
+    if any(number and not len(kind) for kind, number in zip(kinds, counts, strict=True)):
         raise ConfigError(
             f"driven_share = {driven_share:g}: the windows hold {len(kinds[0])} that a model drove and {len(kinds[1])} "
             "others; make the former with 'advdiff-sumo data simulate --driven-by'"
         )
-    return np.concatenate([_spread(kind, number, rng) for kind, number in zip(kinds, wanted, strict=True)])
+    return np.concatenate([_spread(kind, number, rng) for kind, number in zip(kinds, counts, strict=True)])
 
 
 def _spread(numbers: IntArray, count: int, rng: np.random.Generator) -> IntArray:

@@ -54,8 +54,8 @@ class DecoderStage(BundleStage):
         super().__init__(bundle, decoder.requires_grad_(True))
         self.options = options
         self._judge = sample_judge(compiled)
-        here = decoder.start.weight.device
-        self._began = copy.deepcopy(began).eval().requires_grad_(False).to(here)
+        device = decoder.start.weight.device
+        self._began = copy.deepcopy(began).eval().requires_grad_(False).to(device)
 
     def loss(self, batch: SceneBatch, moment: Moment) -> dict[str, Tensor]:
         """Return the weighted sum and its terms."""
@@ -89,14 +89,14 @@ class DecoderStage(BundleStage):
         return context, (posterior, drawn), self._began(drawn, context.h, batch)
 
     def _terms(self, known: Rollout, free: Rollout, before: Rollout, batch: SceneBatch) -> dict[str, Tensor]:
-        options, who = self.options, batch.moved & ~batch.parked
+        options, is_driven = self.options, batch.moved & ~batch.parked
         how = RefinementOptions(vehicles=options.vehicles, road=options.road)
         fits = overlap_penalty(before, batch, how) < _FAULTY
-        there = batch.present[..., None].expand(before.yaw.shape)
-        same = reconstruction(free, replace(batch, future=before.states(), future_valid=there)).mean(-1)
+        is_present = batch.present[..., None].expand(before.yaw.shape)
+        same = reconstruction(free, replace(batch, future=before.states(), future_valid=is_present)).mean(-1)
         terms = {
             "reconstruction": known_mean(reconstruction(known, batch), batch),
-            "anchor": options.anchor * masked_mean(same, who & fits),
+            "anchor": options.anchor * masked_mean(same, is_driven & fits),
             **self._judge(free, batch, options),
         }
         return {"loss": torch.stack(list(terms.values())).sum(), **terms}

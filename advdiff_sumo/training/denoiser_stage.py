@@ -212,8 +212,8 @@ def noise_at(denoiser: Denoiser, context: Context) -> Noise:
 
     def noise_of(x: Tensor, k: int) -> Tensor:
         at = torch.full((x.shape[0],), k, device=x.device)
-        out: Tensor = denoiser(x, at, context)
-        return out
+        prediction: Tensor = denoiser(x, at, context)
+        return prediction
 
     return noise_of
 

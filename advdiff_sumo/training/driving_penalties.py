@@ -40,11 +40,11 @@ def lane_distance(rollout: Rollout, batch: SceneBatch) -> Tensor:
         usable = aligned & real[:, :, None]
         apart, *_ = from_segments(place[:, :, :, None], first[:, :, None], along[:, :, None])
         which = apart.square().sum(-1).masked_fill(~usable, _FAR_M**2).argmin(-1)
-        some = usable.gather(-1, which[..., None]).squeeze(-1)
+        is_near_lane = usable.gather(-1, which[..., None]).squeeze(-1)
     index = which[..., None].expand(*which.shape, 2)
     away, *_ = from_segments(place, first.gather(2, index), along.gather(2, index))
     distance = torch.sqrt(away.square().sum(-1) + 1e-6)
-    beyond = torch.where(some, (distance - _BESIDE_M).clamp(0.0, _ASTRAY_M - _BESIDE_M), 0.0)
+    beyond = torch.where(is_near_lane, (distance - _BESIDE_M).clamp(0.0, _ASTRAY_M - _BESIDE_M), 0.0)
     return beyond.mean(-1)
 
 
@@ -66,8 +66,8 @@ def following_penalty(rollout: Rollout, batch: SceneBatch) -> Tensor:
     hard = (brake / _BRAKE_MPS2 - 1.0).clamp(0.0, _MOST)
     behind = (lead.inside > _INSIDE) & (lead.gap_m > 0.0)
     each = torch.where(behind, short + hard, 0.0).reshape(scenes, steps, agents, agents)  # (B, T, A, A)
-    there = batch.present[:, None, :, None] & batch.present[:, None, None]
-    return torch.where(there, each, 0.0).sum(-1).mean(1)
+    is_present = batch.present[:, None, :, None] & batch.present[:, None, None]
+    return torch.where(is_present, each, 0.0).sum(-1).mean(1)
 
 
 def travelled_m(rollout: Rollout, batch: SceneBatch) -> Tensor:

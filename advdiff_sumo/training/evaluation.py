@@ -130,7 +130,7 @@ def evaluate_bundle(
         done += len(rows)
         if on_progress is not None:
             on_progress(done, count)
-    return {name: _figures(one, sums["log"]) for name, one in sums.items()}
+    return {name: _figures(method_sums, sums["log"]) for name, method_sums in sums.items()}
 
 
 def write_figures(
@@ -150,16 +150,16 @@ def write_figures(
 
 def _add(sums: _Sums, rollout: Rollout, several: SceneBatch, times: int) -> None:
     judged = judge(rollout, several, times)
-    ade, fde, who = judged.ade_m, judged.fde_m, judged.driving
+    ade, fde, is_driving = judged.ade_m, judged.fde_m, judged.driving
     parts: dict[str, tuple[float, float]] = {
-        "ade_m": masked_sum(ade.mean(1), who),
-        "fde_m": masked_sum(fde.mean(1), who),
-        "min_ade_m": masked_sum(ade.amin(1), who),
-        "min_fde_m": masked_sum(fde.amin(1), who),
-        "min_sfde_m": masked_sum(judged.sfde_m, who.any(1)),
+        "ade_m": masked_sum(ade.mean(1), is_driving),
+        "fde_m": masked_sum(fde.mean(1), is_driving),
+        "min_ade_m": masked_sum(ade.amin(1), is_driving),
+        "min_fde_m": masked_sum(fde.amin(1), is_driving),
+        "min_sfde_m": masked_sum(judged.sfde_m, is_driving.any(1)),
     }
     if times > 1:
-        parts["fdd_m"] = masked_sum(judged.spread_m, who)
+        parts["fdd_m"] = masked_sum(judged.spread_m, is_driving)
     add(sums.tally, parts)
     sums.count(judged, _standing(rollout, several))
 
@@ -168,14 +168,14 @@ def _standing(rollout: Rollout, batch: SceneBatch) -> Tensor:
     return (travelled_m(rollout, batch) < _STANDS_M) & driving_mask(batch)
 
 
-def _figures(one: _Sums, log: _Sums) -> Figures:
-    figures = means(one.tally)
-    if one is not log:
+def _figures(method_sums: _Sums, log: _Sums) -> Figures:
+    figures = means(method_sums.tally)
+    if method_sums is not log:
         figures["energy_m"] = figures["fde_m"] - 0.5 * figures.get(
             "fdd_m", 0.0
         )  # one sample has no diversity
-        figures["jsd_speed"] = float(jensen_shannon(one.speed, log.speed))
-        figures["jsd_accel"] = float(jensen_shannon(one.accel, log.accel))
+        figures["jsd_speed"] = float(jensen_shannon(method_sums.speed, log.speed))
+        figures["jsd_accel"] = float(jensen_shannon(method_sums.accel, log.accel))
     return figures
 
 

@@ -68,10 +68,10 @@ def value_of(rewards: Sequence[Payoff], discount: float) -> tuple[Tensor, Tensor
     """
     gain = torch.zeros_like(rewards[0].reward)
     factor = torch.ones_like(gain)
-    for one in rewards:
-        share = torch.where(one.contact, 1.0, 1.0 - discount)
-        gain = gain + factor * share * one.reward
-        factor = factor * torch.where(one.contact, 0.0, discount)
+    for following in rewards:
+        share = torch.where(following.contact, 1.0, 1.0 - discount)
+        gain = gain + factor * share * following.reward
+        factor = factor * torch.where(following.contact, 0.0, discount)
     return gain, factor
 
 
@@ -109,14 +109,14 @@ def random_action(
     shares = torch.tensor([options.prior, options.noise, options.diffusion])
     scenes = context.h.shape[0]
     source = torch.multinomial(shares, scenes, replacement=True, generator=generator)
-    out = prior_action(bundle, context, generator)
-    noise = torch.randn(out.shape, generator=generator).to(out)
-    out = torch.where((source == 1).to(out.device)[:, None, None], noise, out)
-    rows = torch.nonzero(source == 2).squeeze(1).to(out.device)
+    action = prior_action(bundle, context, generator)
+    noise = torch.randn(action.shape, generator=generator).to(action)
+    action = torch.where((source == 1).to(action.device)[:, None, None], noise, action)
+    rows = torch.nonzero(source == 2).squeeze(1).to(action.device)
     if len(rows):
         sampling = Sampling(options.sampling_steps)
-        out[rows] = diffused_samples(bundle, context.rows(rows), sampling, generator)[:, :, 0]
-    return out
+        action[rows] = diffused_samples(bundle, context.rows(rows), sampling, generator)[:, :, 0]
+    return action
 
 
 def prior_action(bundle: Bundle, context: Context, generator: torch.Generator) -> Tensor:

@@ -68,16 +68,16 @@ def agreement_of(
     with torch.enable_grad():
         action = experience.action.detach().requires_grad_(True)
         cost, near = _cost(bundle, replace(experience, action=action), context, options.look)
-        wanted = -torch.autograd.grad(cost.sum(), action)[0].nan_to_num()
+        descent = -torch.autograd.grad(cost.sum(), action)[0].nan_to_num()
         q = bundle.reward(context.h, context.prior.mean, action, experience.state, experience.target)
         slope = torch.autograd.grad(q.sum(), action, create_graph=True)[0]
-    size = wanted.norm(dim=-1)
+    size = descent.norm(dim=-1)
     row = torch.arange(len(experience.target), device=size.device)
     known = experience.state.future_valid[row, experience.target, : options.look].all(-1) & (
         experience.weight > 0.0
     )
     counts = near & (size > _FLAT) & known[:, None]
-    cosine = (slope * wanted).sum(-1) / (slope.norm(dim=-1) * size).clamp(min=1e-12)
+    cosine = (slope * descent).sum(-1) / (slope.norm(dim=-1) * size).clamp(min=1e-12)
     return Agreement(torch.where(counts, cosine, 0.0), counts)
 
 
@@ -103,15 +103,15 @@ def _pushed(
 ) -> Tensor:
     """Return actions (B, A, Z), in 80 % of the scenes with up to three vehicles shifted along Q's gradient."""
     mask = _chosen(experience.state, experience.target, generator).to(experience.action.dtype)
-    here = experience.action.device
+    device = experience.action.device
     share = torch.rand((len(mask), 1, 1), generator=generator)
-    some = torch.rand((len(mask), 1, 1), generator=generator) < _PUSHED
-    length = (most / _TURNS * share * some).to(here)
+    is_shifted = torch.rand((len(mask), 1, 1), generator=generator) < _PUSHED
+    length = (most / _TURNS * share * is_shifted).to(device)
     state = bundle.reward.prepare(context.h, context.prior.mean, experience.state, experience.target)
-    out = experience.action
+    shifted = experience.action
     for _ in range(_TURNS):
-        out = out + length * direction(lambda a: bundle.reward.value_of(state, a), out, mask)
-    return out.detach()
+        shifted = shifted + length * direction(lambda a: bundle.reward.value_of(state, a), shifted, mask)
+    return shifted.detach()
 
 
 def _chosen(batch: SceneBatch, target: Tensor, generator: torch.Generator) -> Tensor:

@@ -35,14 +35,16 @@ def sample_judge(compiled: bool) -> Callable[[Rollout, SceneBatch, DecoderOption
 
 def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> dict[str, Tensor]:
     """Return the weighted penalties of sampled futures *free*, by name."""
-    who = batch.moved & ~batch.parked
+    is_driven = batch.moved & ~batch.parked
     how = RefinementOptions(vehicles=options.vehicles, road=options.road)
-    way, truth = (torch.where(who, travelled_m(r, batch), 0.0).sum() for r in (free, logged_rollout(batch)))
+    way, truth = (
+        torch.where(is_driven, travelled_m(r, batch), 0.0).sum() for r in (free, logged_rollout(batch))
+    )
     ratio = way / truth.clamp(min=1.0)
     return {
-        "overlap_penalty": masked_mean(overlap_penalty(free, batch, how), who),
-        "lane": options.lane * masked_mean(lane_distance(free, batch), who),
-        "following": options.following * masked_mean(following_penalty(free, batch), who),
+        "overlap_penalty": masked_mean(overlap_penalty(free, batch, how), is_driven),
+        "lane": options.lane * masked_mean(lane_distance(free, batch), is_driven),
+        "following": options.following * masked_mean(following_penalty(free, batch), is_driven),
         "progress": options.progress * (ratio - 1.0).square(),
     }
 
@@ -50,6 +52,6 @@ def sample_terms(free: Rollout, batch: SceneBatch, options: DecoderOptions) -> d
 @torch.no_grad()
 def faults(free: Rollout, batch: SceneBatch) -> Tally:
     """Return the collisions, road departures and driven distances of sampled futures."""
-    there, who = batch.present[..., None].expand(free.yaw.shape), driving_mask(batch)
-    driven, truth = (float(travelled_m(r, batch)[who].sum()) for r in (free, logged_rollout(batch)))
-    return realism.faults(free, batch, there) | {"travelled": (driven, truth)}
+    is_present, is_driven = batch.present[..., None].expand(free.yaw.shape), driving_mask(batch)
+    driven, truth = (float(travelled_m(r, batch)[is_driven].sum()) for r in (free, logged_rollout(batch)))
+    return realism.faults(free, batch, is_present) | {"travelled": (driven, truth)}

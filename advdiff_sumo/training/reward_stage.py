@@ -51,17 +51,18 @@ class RewardStage(BundleStage):
         """Return L_Q over experiences from the windows, with the mean value and the rate of collisions."""
         experiences = list(from_logs(self.bundle, batch, self.options, moment.generator))
         terms = [
-            q_loss(self.bundle, self._target, one, self.options, moment.generator) for one in experiences
+            q_loss(self.bundle, self._target, experience, self.options, moment.generator)
+            for experience in experiences
         ]
-        weight = sum(float(one.weight.sum()) for one in experiences)
+        weight = sum(float(experience.weight.sum()) for experience in experiences)
         loss = torch.stack([term for term, _ in terms]).sum() / max(weight, 1.0)
         value = torch.stack([q for _, q in terms]).sum() / max(weight, 1.0)
         direction = loss.new_zeros(())
         if experiences and self.options.direction > 0.0:
             direction = direction_loss(self.bundle, experiences[0], self.options, moment.generator)
-        contact = sum(float((one.weight * (one.remains == 0.0)).sum()) for one in experiences) / max(
-            weight, 1.0
-        )
+        contact = sum(
+            float((experience.weight * (experience.remains == 0.0)).sum()) for experience in experiences
+        ) / max(weight, 1.0)
         return {
             "loss": loss + self.options.direction * direction,
             "td": loss,
@@ -84,8 +85,11 @@ class RewardStage(BundleStage):
             "chance": masked_sum(best - worth.mean(1), usable),
         }
         experiences = list(from_logs(self.bundle, batch, self.options, generator))
-        losses = [q_loss(self.bundle, self._target, one, self.options, generator)[0] for one in experiences]
-        weight = sum(float(one.weight.sum()) for one in experiences)
+        losses = [
+            q_loss(self.bundle, self._target, experience, self.options, generator)[0]
+            for experience in experiences
+        ]
+        weight = sum(float(experience.weight.sum()) for experience in experiences)
         tally |= {"td": (float(torch.stack(losses).sum()), weight)}
         if experiences:
             agreement = agreement_of(self.bundle, experiences[0], self.options, generator)
@@ -130,9 +134,9 @@ def q_loss(
         context = bundle.traffic.encoder(experience.state)
         after = bundle.traffic.encoder(experience.after)
         future = best_value(bundle, target_network, experience, after, options.candidates, generator)
-        wanted = experience.gain + experience.remains * future
+        target_value = experience.gain + experience.remains * future
     q = bundle.reward(context.h, context.prior.mean, experience.action, experience.state, experience.target)
-    return (experience.weight * (q - wanted).square()).sum(), (experience.weight * q.detach()).sum()
+    return (experience.weight * (q - target_value).square()).sum(), (experience.weight * q.detach()).sum()
 
 
 def best_value(
@@ -152,5 +156,5 @@ def best_value(
 @torch.no_grad()
 def follow(target: nn.Module, source: nn.Module, decay: float) -> None:
     """Move the weights of *target* towards those of *source*: decay · target + (1 − decay) · source."""
-    for mine, theirs in zip(target.parameters(), source.parameters(), strict=True):
-        mine.lerp_(theirs, 1.0 - decay)
+    for target_weight, source_weight in zip(target.parameters(), source.parameters(), strict=True):
+        target_weight.lerp_(source_weight, 1.0 - decay)

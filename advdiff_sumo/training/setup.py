@@ -90,9 +90,9 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
     device = choose_device(plan.device)
     if plan.stage == "simnet":
         return _prepared_simnet(plan, device)
-    begun = _begun(plan)
+    initial = _begun(plan)
     windows = read_window_set(plan.data)
-    bundle = _bundle(plan, begun, windows)
+    bundle = _bundle(plan, initial, windows)
     options = plan.options.model_copy(update=_known(bundle.options))
     train, held_out = _sides(plan, windows)
     bundle.to(device)
@@ -100,7 +100,7 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
         plan.stage == "denoiser" and "denoiser" not in bundle.stages
     ):  # a denoiser trained before keeps its scale
         _measure(bundle, train, options, device)
-    stage = _stage(plan.stage, bundle, options, begun)
+    stage = _stage(plan.stage, bundle, options, initial)
     if options.compiled and isinstance(bundle.traffic.decoder, ClosedLoopDecoder):
         bundle.traffic.decoder.compile_step()
 
@@ -159,12 +159,12 @@ def choose_device(name: str) -> torch.device:
     Raises:
         ConfigError: no such device.
     """
-    there = torch.cuda.is_available()
+    has_gpu = torch.cuda.is_available()
     if name not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"--device {name}: choose auto, cpu or cuda")
-    if name == "cuda" and not there:
+    if name == "cuda" and not has_gpu:
         raise ConfigError("--device cuda: PyTorch sees no CUDA device; choose cpu or auto")
-    if there and name != "cpu":
+    if has_gpu and name != "cpu":
         torch.set_float32_matmul_precision("high")  # TF32: half the time, errors far below those of a batch
         return torch.device("cuda")
     return torch.device("cpu")
@@ -182,29 +182,29 @@ def _begun(plan: TrainingRequest) -> Bundle | None:
                 f"the stage '{plan.stage}' needs weights of the stage '{_NEEDS[plan.stage][-1]}': name them with --init"
             )
         return None
-    begun = load_bundle(weights_file(plan.init))
-    missing = [name for name in _NEEDS[plan.stage] if name not in begun.stages]
+    initial = load_bundle(weights_file(plan.init))
+    missing = [name for name in _NEEDS[plan.stage] if name not in initial.stages]
     if missing:
         raise ConfigError(
-            f"{plan.init}: holds {_listed(begun.stages)}, but the stage '{plan.stage}' needs '{missing[0]}'; "
+            f"{plan.init}: holds {_listed(initial.stages)}, but the stage '{plan.stage}' needs '{missing[0]}'; "
             f"train that first: advdiff-sumo train {missing[0]}"
         )
-    return begun
+    return initial
 
 
-def _bundle(plan: TrainingRequest, begun: Bundle | None, windows: WindowSet) -> Bundle:
-    """Return the networks to train: new ones, or the initial ones *begun*, fitted to the view of *windows*."""
+def _bundle(plan: TrainingRequest, initial: Bundle | None, windows: WindowSet) -> Bundle:
+    """Return the networks to train: new ones, or the *initial* ones, fitted to the view of *windows*."""
     options, view = plan.options, windows.map_view
-    wanted = BundleOptions(
+    requested = BundleOptions(
         model=options.model.model_copy(update={"map_view": view}),
         codec=options.codec or "latent",
         diffusion_steps=options.diffusion_steps,
         schedule=options.noise_schedule,
     )
-    if begun is None:
-        return new_bundle(wanted, SeedTree(plan.seed, ("weights",)).integer())
-    wanted = wanted.model_copy(update={"codec": options.codec or begun.options.codec})
-    return _fitted(plan, begun, wanted, windows)
+    if initial is None:
+        return new_bundle(requested, SeedTree(plan.seed, ("weights",)).integer())
+    requested = requested.model_copy(update={"codec": options.codec or initial.options.codec})
+    return _fitted(plan, initial, requested, windows)
 
 
 def _known(options: BundleOptions) -> dict[str, Any]:
@@ -217,53 +217,53 @@ def _known(options: BundleOptions) -> dict[str, Any]:
     }
 
 
-def _fitted(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions, windows: WindowSet) -> Bundle:
-    """Return *begun*, with a new denoiser if another codec is wanted; refuse impossible combinations."""
-    anew = _made_anew(plan, begun, wanted)
-    asked = _asked_of_new_parts(plan, begun, anew)
+def _fitted(plan: TrainingRequest, initial: Bundle, requested: BundleOptions, windows: WindowSet) -> Bundle:
+    """Return *initial*, with a new denoiser if another codec is wanted; refuse impossible combinations."""
+    anew = _made_anew(plan, initial, requested)
+    new_options = _asked_of_new_parts(plan, initial, anew)
     if anew != "denoiser":
-        _must_keep_noise(plan, begun)
-    if plan.stage in ("reward", "decoder") and begun.options.codec != "latent":
+        _must_keep_noise(plan, initial)
+    if plan.stage in ("reward", "decoder") and initial.options.codec != "latent":
         raise ConfigError(
             f"{plan.init}: its denoiser works on trajectories, but the stage '{plan.stage}' needs latents"
         )
     if anew == "decoder":
         seed = SeedTree(plan.seed, ("weights",)).integer()
-        return with_closed_loop(begun, seed, windows.map_view, asked)
-    windows.must_show(begun.options.model.map_view)
+        return with_closed_loop(initial, seed, windows.map_view, new_options)
+    windows.must_show(initial.options.model.map_view)
     if plan.stage != "denoiser":
-        if begun.options.codec != wanted.codec:
+        if initial.options.codec != requested.codec:
             raise ConfigError(
-                f"{plan.init}: its denoiser works on the codec '{begun.options.codec}', not '{wanted.codec}'"
+                f"{plan.init}: its denoiser works on the codec '{initial.options.codec}', not '{requested.codec}'"
             )
-        return begun
+        return initial
     if anew == "situation":
-        return _informed(plan, begun)
-    options = wanted.model_copy(update={"model": _resized(begun.options.model, asked)})
+        return _informed(plan, initial)
+    options = requested.model_copy(update={"model": _resized(initial.options.model, new_options)})
     bundle = new_bundle(options, SeedTree(plan.seed, ("weights",)).integer())
-    bundle.traffic.load_state_dict(begun.traffic.state_dict())
-    bundle.reward.load_state_dict(begun.reward.state_dict())
-    return replace(bundle, stages=tuple(name for name in begun.stages if name == "traffic"))
+    bundle.traffic.load_state_dict(initial.traffic.state_dict())
+    bundle.reward.load_state_dict(initial.reward.state_dict())
+    return replace(bundle, stages=tuple(name for name in initial.stages if name == "traffic"))
 
 
-def _made_anew(plan: TrainingRequest, begun: Bundle, wanted: BundleOptions) -> str:
-    """Return the part of *begun* that the stage replaces: "decoder", "denoiser", only its "situation", or ""."""
+def _made_anew(plan: TrainingRequest, initial: Bundle, requested: BundleOptions) -> str:
+    """Return the part of *initial* that the stage replaces: "decoder", "denoiser", only its "situation", or ""."""
     closing = plan.stage == "traffic" and plan.options.model.decoder == "closed-loop"
     if plan.stage == "decoder" or closing:
         return "decoder"
     if plan.stage != "denoiser":
         return ""
-    trained = "denoiser" in begun.stages and begun.options.codec == wanted.codec
+    trained = "denoiser" in initial.stages and initial.options.codec == requested.codec
     return "situation" if trained else "denoiser"
 
 
-def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
-    """Refuse another noise schedule than that of *begun*, whose denoiser is kept.
+def _must_keep_noise(plan: TrainingRequest, initial: Bundle) -> None:
+    """Refuse another noise schedule than that of *initial*, whose denoiser is kept.
 
     Raises:
         ConfigError: another schedule was requested.
     """
-    known = _known(begun.options)
+    known = _known(initial.options)
     for name in ("diffusion_steps", "noise_schedule"):
         value, has = getattr(plan.options, name), known[name]
         if name in plan.options.model_fields_set and value != has:
@@ -273,31 +273,31 @@ def _must_keep_noise(plan: TrainingRequest, begun: Bundle) -> None:
             )
 
 
-def _informed(plan: TrainingRequest, begun: Bundle) -> Bundle:
-    """Return *begun* with the requested parts of the denoiser; outputs of new parts are initialised to 0."""
-    if begun.options.model.denoiser_situation or not plan.options.model.denoiser_situation:
-        return begun
-    model = begun.options.model.model_copy(update={"denoiser_situation": True})
-    options = begun.options.model_copy(update={"model": model})
-    return _grown(begun, options, SeedTree(plan.seed, ("weights",)).integer())
+def _informed(plan: TrainingRequest, initial: Bundle) -> Bundle:
+    """Return *initial* with the requested parts of the denoiser; outputs of new parts are initialised to 0."""
+    if initial.options.model.denoiser_situation or not plan.options.model.denoiser_situation:
+        return initial
+    model = initial.options.model.model_copy(update={"denoiser_situation": True})
+    options = initial.options.model_copy(update={"model": model})
+    return _grown(initial, options, SeedTree(plan.seed, ("weights",)).integer())
 
 
-def _asked_of_new_parts(plan: TrainingRequest, begun: Bundle, stage: str) -> dict[str, Any]:
+def _asked_of_new_parts(plan: TrainingRequest, initial: Bundle, stage: str) -> dict[str, Any]:
     """Return the requested sizes of the networks that *stage* replaces.
 
     Raises:
-        ConfigError: sizes of other networks were requested that differ from those of *begun*.
+        ConfigError: sizes of other networks were requested that differ from those of *initial*.
     """
     free, model = _NEW_PARTS.get(stage, frozenset()), plan.options.model
-    asked = {name: value for name, value in model if name in model.model_fields_set}
-    for name, value in asked.items():
-        has = getattr(begun.options.model, name)
+    new_options = {name: value for name, value in model if name in model.model_fields_set}
+    for name, value in new_options.items():
+        has = getattr(initial.options.model, name)
         if name not in free and name != "map_view" and value != has:
             raise ConfigError(
                 f"model.{name} = {value}: the networks of {plan.init} have {has}, and the stage '{plan.stage}' makes "
                 "none anew to which it applies; leave it out, or train from new weights"
             )
-    return {name: value for name, value in asked.items() if name in free}
+    return {name: value for name, value in new_options.items() if name in free}
 
 
 def _resized(model: ModelOptions, changed: Mapping[str, Any]) -> ModelOptions:
@@ -306,27 +306,30 @@ def _resized(model: ModelOptions, changed: Mapping[str, Any]) -> ModelOptions:
 
 
 def with_closed_loop(
-    begun: Bundle, seed: int, view: MapView | None = None, asked: Mapping[str, Any] = MappingProxyType({})
+    initial: Bundle,
+    seed: int,
+    view: MapView | None = None,
+    new_options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Bundle:
-    """Return *begun* with a closed-loop decoder, which at first gives the same futures as the decoder before.
+    """Return *initial* with a closed-loop decoder, which at first gives the same futures as the decoder before.
 
     Args:
-        begun: networks; not changed.
+        initial: networks; not changed.
         seed: of new weights.
         view: view of the map; None: as before.
-        asked: further options of the decoder.
+        new_options: further options of the decoder.
     """
-    changed = {**asked, "decoder": "closed-loop", "map_view": view or begun.options.model.map_view}
-    options = begun.options.model_copy(update={"model": _resized(begun.options.model, changed)})
-    return _grown(begun, options, seed)
+    changed = {**new_options, "decoder": "closed-loop", "map_view": view or initial.options.model.map_view}
+    options = initial.options.model_copy(update={"model": _resized(initial.options.model, changed)})
+    return _grown(initial, options, seed)
 
 
-def _grown(begun: Bundle, options: BundleOptions, seed: int) -> Bundle:
-    """Return networks of *options* with the weights of *begun*, and those it lacks from *seed*."""
+def _grown(initial: Bundle, options: BundleOptions, seed: int) -> Bundle:
+    """Return networks of *options* with the weights of *initial*, and those it lacks from *seed*."""
     fresh = new_bundle(options, seed)
     for name, module in fresh.modules().items():
-        module.load_state_dict({**module.state_dict(), **begun.modules()[name].state_dict()})
-    return replace(fresh, stages=begun.stages)
+        module.load_state_dict({**module.state_dict(), **initial.modules()[name].state_dict()})
+    return replace(fresh, stages=initial.stages)
 
 
 def weights_file(path: Path) -> Path:
@@ -352,7 +355,7 @@ def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: 
     measure_scale(bundle, batched, torch.Generator().manual_seed(options.split_seed))
 
 
-def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle | None) -> BundleStage:
+def _stage(name: StageName, bundle: Bundle, options: TrainOptions, initial: Bundle | None) -> BundleStage:
     if name == "traffic":
         return TrafficStage(bundle, options.elbo, options.decoder, options.compiled)
     if name == "denoiser":
@@ -360,8 +363,8 @@ def _stage(name: StageName, bundle: Bundle, options: TrainOptions, begun: Bundle
     if name == "joint":
         return JointStage(bundle, options.elbo, options.collision)
     if name == "decoder":
-        assert begun is not None  # noqa: S101 - the stage needs earlier ones
-        return DecoderStage(bundle, begun.traffic.decoder, options.decoder, options.compiled)
+        assert initial is not None  # noqa: S101 - the stage needs earlier ones
+        return DecoderStage(bundle, initial.traffic.decoder, options.decoder, options.compiled)
     return RewardStage(bundle, options.reward)
 
 

@@ -51,12 +51,12 @@ class SimnetStage(Stage):
         rollout: Rollout = self.simnet(batch)
         loss, scenes = float(known_mean(reconstruction(rollout, batch), batch)), float(batch.scenes)
         tally = displacement(rollout, batch)
-        there = batch.present[..., None].expand(rollout.yaw.shape)
+        is_present = batch.present[..., None].expand(rollout.yaw.shape)
         return {
             "loss": (loss * scenes, scenes),
             "ade_m": tally.ade_sum(),
             "fde_m": tally.fde_sum(),
-            **realism.faults(rollout, batch, there),
+            **realism.faults(rollout, batch, is_present),
         }
 
 

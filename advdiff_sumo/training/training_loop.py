@@ -152,10 +152,10 @@ class Trainer:
             TrainingError: a loss or gradient is not a number.
             KeyboardInterrupt: the user stopped it; everything is saved.
         """
-        begun = time.monotonic()
+        start_s = time.monotonic()
         try:
             with graceful() as wish:
-                self._epochs(begun, wish)
+                self._epochs(start_s, wish)
         finally:
             self._draw(0.0)
             self.events.close()
@@ -163,23 +163,23 @@ class Trainer:
             raise KeyboardInterrupt
         return self.progress
 
-    def _epochs(self, begun: float, wish: StopRequest) -> None:
+    def _epochs(self, start_s: float, wish: StopRequest) -> None:
         progress = self.progress
         while not progress.done:
-            if not self._epoch(begun, wish):
+            if not self._epoch(start_s, wish):
                 self.save()
                 return
             self._judge()
             progress.done = progress.epoch >= self.job.options.epochs or self._stuck()
             self.save()
 
-    def _epoch(self, begun: float, wish: StopRequest) -> bool:
+    def _epoch(self, start_s: float, wish: StopRequest) -> bool:
         """Train the rest of the epoch; return False if stopped before its end."""
         progress, saved = self.progress, time.monotonic()
         limit_s, between_s = 60.0 * self.job.max_minutes, 60.0 * self.job.options.checkpoint_minutes
         order = self._order()
         for batch in self._batches(order[progress.batch :]):
-            if wish or time.monotonic() - begun > limit_s:
+            if wish or time.monotonic() - start_s > limit_s:
                 return False
             self._step(batch.to(self.job.device))
             if time.monotonic() - saved > between_s:

@@ -161,7 +161,7 @@ def first_text(contests: tuple[Contest, ...]) -> str:
     for contest in contests:
         if not contest.defective:
             continue
-        detected = sum(one.detected for one in contest.detections)
+        detected = sum(detection.detected for detection in contest.detections)
         planners = (contest.sound, *contest.defective.values())
         outcomes = [outcome for planner in planners for outcome in planner.values()]
         total_cpu_s = sum(outcome.cpu_s for outcome in outcomes)

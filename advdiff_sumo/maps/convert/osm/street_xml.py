@@ -54,14 +54,14 @@ def street_rows(
 
 
 def _edge(stretch: StreetStretch, origin: str, target: str) -> ET.Element:
-    given = stretch.street.row
+    source_row = stretch.street.row
     row = ET.Element("edge", {"id": stretch.id, "from": origin, "to": target, "type": BEYOND_TYPE})
     for key in KEPT:
-        if key in given.attrib:
-            row.set(key, given.attrib[key])
+        if key in source_row.attrib:
+            row.set(key, source_row.attrib[key])
     row.set("spreadType", "center")
     row.set("shape", shape_text(stretch.middle_m))
-    for lane in given.iterfind("lane"):
+    for lane in source_row.iterfind("lane"):
         ET.SubElement(row, "lane", {key: lane.attrib[key] for key in LANE_KEPT if key in lane.attrib})
     return row
 

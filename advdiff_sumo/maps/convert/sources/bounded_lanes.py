@@ -110,12 +110,12 @@ def lane_links(
     in *faults* and left out.
     """
     rows = list(rows)
-    known, given = {lane.token for lane in lanes}, {row.token for row in rows}
+    known, row_tokens = {lane.token for lane in lanes}, {row.token for row in rows}
     stated: dict[tuple[str, str], None] = {}
     for row in rows:
         stated.update(dict.fromkeys((other, row.token) for other in row.predecessors))
         stated.update(dict.fromkeys((row.token, other) for other in row.successors))
-    inside = [link for link in stated if set(link) <= given]
+    inside = [link for link in stated if set(link) <= row_tokens]
     faults.notes["links beyond the rim of the map"] += len(stated) - len(inside)
     return [link for link in inside if set(link) <= known], len(inside)
 

@@ -52,19 +52,19 @@ def nuplan_map(path: Path) -> SourceMap:
         raise MapError(path, "holds no lane with a usable baseline path", REMEDY)
     known = {lane.token for lane in lanes}
     links = list(_links(rows["lane_connectors"]))
-    given = [token for token, *_ in _stated_lanes(rows)]
+    stated_tokens = [token for token, *_ in _stated_lanes(rows)]
     return SourceMap(
         path=path,
         location=path.absolute().parent.parent.name or path.stem,
         lanes=tuple(lanes),
-        links=tuple(_known_links(links, set(given), known, faults)),
+        links=tuple(_known_links(links, set(stated_tokens), known, faults)),
         drivable=as_multi(shapely.union_all(layers.areas("generic_drivable_areas"))),
         intersections=layers.areas("intersections"),
         crossings=layers.areas("crosswalks"),
         walkways=layers.areas("walkways"),
         carparks=layers.areas("carpark_areas"),
-        stated=StatedSizes(len(given), len(links)),
-        left_out=tuple(token for token in dict.fromkeys(given) if token not in known),
+        stated=StatedSizes(len(stated_tokens), len(links)),
+        left_out=tuple(token for token in dict.fromkeys(stated_tokens) if token not in known),
         notes=faults.notes,
         warnings=faults.sentences(),
         projection=projection,
@@ -170,11 +170,11 @@ def _links(connectors: list[Row]) -> Iterator[tuple[str, str]]:
 
 
 def _known_links(
-    links: list[tuple[str, str]], given: set[str], known: set[str], faults: MapFaults
+    links: list[tuple[str, str]], stated_tokens: set[str], known: set[str], faults: MapFaults
 ) -> Iterator[tuple[str, str]]:
     """Yield the links between *known* lanes; links to lanes that are not in the file are noted in *faults*."""
     for link in dict.fromkeys(links):
-        missing = next((token for token in link if token not in given), None)
+        missing = next((token for token in link if token not in stated_tokens), None)
         if missing is not None:
             other = next(token for token in link if token != missing)
             faults.add("link to unknown lane", f"{other} names {missing}, which is not in the file")

@@ -110,8 +110,8 @@ def _compiled_costs() -> MachineCode | None:
 
 def _costs_of(kind: str, placed: AttackStates, compiled: bool) -> Callable[[Rollout], Tensor]:
     kinds = placed.xy.new_tensor([float(name == kind) for name in COSTS])
-    here = placed.xy.device.type == "cpu" and placed.xy.dtype == torch.float32
-    code = _compiled_costs() if compiled and here else None
+    is_on_cpu = placed.xy.device.type == "cpu" and placed.xy.dtype == torch.float32
+    code = _compiled_costs() if compiled and is_on_cpu else None
     if code is None:
         return lambda rollout: costs(rollout, placed, kind)
     held = [kinds, *placed.tensors()]

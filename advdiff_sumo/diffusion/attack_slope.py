@@ -54,8 +54,8 @@ class AttackOnTensors(nn.Module):
         kinds, scale, offset, mean, logvar, h, *around = held
         rows, present, own_present, edges, senders, *parts = around
         placed, z = AttackStates.from_tensors(parts), free[0] * scale + offset
-        given = placed.own_pose, placed.own_size, own_present, placed.moved
-        own = scene_of_tensors(*(part.expand(z.shape[0], *part.shape) for part in given))
+        inputs = placed.own_pose, placed.own_size, own_present, placed.moved
+        own = scene_of_tensors(*(part.expand(z.shape[0], *part.shape) for part in inputs))
         batch = scene_of_tensors(own.pose, own.size, present[None], own.moved)
         rollout = self._roll(z, h, Surroundings(batch, own, rows), edges, senders)
         return (costs(rollout, placed, kinds) + PRIOR_WEIGHT * prior_distance(Gaussian(mean, logvar), z),)
@@ -90,11 +90,11 @@ def sloped_attack(kind: str, scene: AttackScene, code: MachineCode) -> Sloped:
     @torch.no_grad()
     def slope(latents: Tensor) -> Tensor:
         share = latents.new_full((len(latents), len(rows)), -1.0 / len(rows))
-        given = [latents[:, rows], *kept, share]
-        if not code.fitting.holds(given):
+        inputs = [latents[:, rows], *kept, share]
+        if not code.fitting.holds(inputs):
             return autograd_slope(value, latents)
         out = torch.zeros_like(latents)
-        out[:, rows] = code.value(given)[0]
+        out[:, rows] = code.value(inputs)[0]
         return out
 
     return Sloped(value, slope)

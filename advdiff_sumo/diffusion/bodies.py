@@ -82,9 +82,9 @@ class AttackDistances:
 
 def attack_distances(rollout: Rollout, placed: AttackStates) -> AttackDistances:
     """Return distances and overlaps of the attackers of *rollout* (B, R, T), differentiable in it."""
-    mine, radius = discs(rollout.xy, rollout.yaw, placed.own_size[:, None].expand(*rollout.yaw.shape, 2))
-    yours, reach = discs(placed.xy, placed.yaw, placed.size[:, None].expand(*placed.yaw.shape, 2))
-    delta = mine[:, :, None, :, :, None] - yours[None, None, :, :, None, :]
+    own_xy, radius = discs(rollout.xy, rollout.yaw, placed.own_size[:, None].expand(*rollout.yaw.shape, 2))
+    other_xy, reach = discs(placed.xy, placed.yaw, placed.size[:, None].expand(*placed.yaw.shape, 2))
+    delta = own_xy[:, :, None, :, :, None] - other_xy[None, None, :, :, None, :]
     distance = torch.sqrt(delta.square().sum(-1).flatten(-2).amin(-1) + 1e-9)  # (B, R, A, T)
     wide = radius[:, :, None] + reach
     inside = (1.0 - distance / wide).clamp(min=0.0).sum(-1)

@@ -106,10 +106,10 @@ def tensors_of(around: Surroundings, more: int = 0) -> tuple[Tensor, ...]:
     """Return the constant inputs of a rollout as tensors, padded by *more* absent agents."""
     own, batch = around.own, around.batch
     everybody = _padded(batch.size, more, 1), _padded(batch.present, more, 1)
-    given = (around.rows, own.pose, own.size, own.present, own.moved, *everybody)
+    inputs = (around.rows, own.pose, own.size, own.present, own.moved, *everybody)
     if isinstance(around, LanesAndEdges):
-        given = (*given, *vars(around.lanes).values(), *vars(around.edges).values())
-    return given
+        inputs = (*inputs, *vars(around.lanes).values(), *vars(around.edges).values())
+    return inputs
 
 
 def _padded(value: Tensor, more: int, dim: int) -> Tensor:
@@ -129,5 +129,5 @@ def _around(parts: Sequence[Tensor]) -> Surroundings:
 def scene_of_tensors(pose: Tensor, size: Tensor, present: Tensor, moved: Tensor) -> SceneBatch:
     """Return a batch with only the parts that a step reads."""
     nothing = dict.fromkeys((part.name for part in fields(SceneBatch)), pose.new_zeros(0))
-    given = {"past": pose[:, :, None], "size": size, "present": present, "moved": moved}
-    return SceneBatch(**{**nothing, **given})
+    inputs = {"past": pose[:, :, None], "size": size, "present": present, "moved": moved}
+    return SceneBatch(**{**nothing, **inputs})

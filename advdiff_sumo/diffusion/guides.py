@@ -115,8 +115,8 @@ def direction(objective: Objective, latents: Tensor, attackers: Tensor) -> Tenso
 
     It is masked by *attackers*, (A,) or (B, A). It is 0 in scenes where it vanishes or is not finite.
     """
-    here = latents.detach()
-    slope = objective.slope(here) if isinstance(objective, Sloped) else autograd_slope(objective, here)
+    point = latents.detach()
+    slope = objective.slope(point) if isinstance(objective, Sloped) else autograd_slope(objective, point)
     gradient = slope * attackers[..., None]
     norm = gradient.square().sum(dim=(1, 2), keepdim=True).sqrt()
     usable = torch.isfinite(norm) & (norm > 1e-12)

@@ -88,15 +88,15 @@ class MachineCode:
             return results
         return self.value([*free, *held])
 
-    def value(self, given: Sequence[Tensor]) -> list[Tensor]:
-        """Return the results for supported arguments *given*, without gradients."""
-        results: list[Tensor] = self._value.boxed_run([value.contiguous() for value in given])
+    def value(self, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """Return the results for supported arguments *inputs*, without gradients."""
+        results: list[Tensor] = self._value.boxed_run([value.contiguous() for value in inputs])
         return results
 
-    def slope(self, given: Sequence[Tensor]) -> list[Tensor]:
-        """Return the gradients of the free arguments; *given* are all arguments, then gradients of the results."""
+    def slope(self, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """Return the gradients of the free arguments; *inputs* are all arguments, then gradients of the results."""
         assert self._slope is not None  # noqa: S101 - __call__ asks for none where there is none
-        results: list[Tensor] = self._slope.boxed_run([value.contiguous() for value in given])
+        results: list[Tensor] = self._slope.boxed_run([value.contiguous() for value in inputs])
         return results
 
 
@@ -112,10 +112,10 @@ class Fitting:
     arguments: Sequence[tuple[str, Sequence[int | str]]]
     sizes: Mapping[str, tuple[int, int]]
 
-    def holds(self, given: Sequence[Tensor]) -> bool:
-        """Return whether the arguments *given* are supported."""
+    def holds(self, inputs: Sequence[Tensor]) -> bool:
+        """Return whether the arguments *inputs* are supported."""
         named_sizes: dict[str, int] = {}
-        for (kind, sizes), value in zip(self.arguments, given, strict=True):
+        for (kind, sizes), value in zip(self.arguments, inputs, strict=True):
             if str(value.dtype) != kind or value.device.type != "cpu" or value.dim() != len(sizes):
                 return False
             for size, number in zip(sizes, value.shape, strict=True):
@@ -128,10 +128,10 @@ class _Function(torch.autograd.Function):
     """Machine code as a function of autograd."""
 
     @staticmethod
-    def forward(ctx: Any, code: MachineCode, count: int, *given: Tensor) -> tuple[Tensor, ...]:
-        ctx.code, ctx.held = code, len(given) - count
-        ctx.save_for_backward(*given)
-        return tuple(code.value(given))
+    def forward(ctx: Any, code: MachineCode, count: int, *inputs: Tensor) -> tuple[Tensor, ...]:
+        ctx.code, ctx.held = code, len(inputs) - count
+        ctx.save_for_backward(*inputs)
+        return tuple(code.value(inputs))
 
     @staticmethod
     def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:

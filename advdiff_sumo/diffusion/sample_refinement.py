@@ -106,8 +106,8 @@ def _until_contact(overlap: Tensor) -> Tensor:
 
     Later instants would push a vehicle that passes through another one out at the far side.
     """
-    begun = (overlap > 0.0).cumsum(-1)
-    return torch.where(begun <= _FIRST, overlap, 0.0)
+    overlap_count = (overlap > 0.0).cumsum(-1)
+    return torch.where(overlap_count <= _FIRST, overlap, 0.0)
 
 
 def refine_samples(

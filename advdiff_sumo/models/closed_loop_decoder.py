@@ -58,8 +58,8 @@ class ClosedLoopDecoder(Decoder):
 
     def _among(self, traced: Tensor, rows: Tensor, motion: Motion) -> Motion:
         """Return the motion of all agents that *rows* observe: their own now, the others' from the trace (B, A, 4)."""
-        mine = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
-        advanced = traced.to(mine.dtype).index_copy(1, rows, mine)
+        own_motion = torch.cat((motion[0], motion[1][..., None], motion[2][..., None]), dim=-1)
+        advanced = traced.to(own_motion.dtype).index_copy(1, rows, own_motion)
         return advanced[..., :2], advanced[..., 2], advanced[..., 3]
 
     def compile_step(self) -> None:

@@ -101,11 +101,11 @@ class Coupling(nn.Module):
         known = self.known(torch.cat((context.prior.mean, context.h), dim=-1))
         return known, torch.stack(self.net.prepare(context.relative))
 
-    def forward(self, x: Tensor, step: Tensor, given: Prepared) -> Tensor:
+    def forward(self, x: Tensor, step: Tensor, prepared: Prepared) -> Tensor:
         """Return (B, A, D) for noisy latents or trajectories *x* (B, A, C, L) at encoded steps *step* (B, 64)."""
-        begin = torch.relu(self.sample(x.flatten(2)) + given.known + self.step(step)[:, None])
-        mixed: Tensor = self.out(self.net.mix(begin, list(given.edges.unbind(0)), given.drawn))
-        return given.h + mixed
+        begin = torch.relu(self.sample(x.flatten(2)) + prepared.known + self.step(step)[:, None])
+        mixed: Tensor = self.out(self.net.mix(begin, list(prepared.edges.unbind(0)), prepared.drawn))
+        return prepared.h + mixed
 
 
 class Prepared(NamedTuple):
@@ -179,10 +179,10 @@ class Denoiser(nn.Module):
             known, edges = self.coupling.prepare(context)
         return Prepared(context.h, self.condition(mean), known, edges, context.drawn)
 
-    def predict(self, x: Tensor, step: Tensor, given: Prepared) -> Tensor:
+    def predict(self, x: Tensor, step: Tensor, prepared: Prepared) -> Tensor:
         """Return the predicted noise (B, A, C, L) of *x* at encoded steps *step* (B, 64)."""
-        state = given.h if self.coupling is None else self.coupling(x, step, given)
-        maps = torch.cat((x.permute(2, 0, 1, 3), given.condition[None]))
+        state = prepared.h if self.coupling is None else self.coupling(x, step, prepared)
+        maps = torch.cat((x.permute(2, 0, 1, 3), prepared.condition[None]))
         return self._unet(maps, state, step).permute(1, 2, 0, 3)
 
     def _unet(self, x: Tensor, h: Tensor, step: Tensor) -> Tensor:

@@ -50,8 +50,8 @@ def _lights(batch: SceneBatch) -> Tensor:
 
 def _leader(batch: SceneBatch) -> Tensor:
     pose, size = batch.pose, batch.size
-    here, yaw = pose[:, :, None, :2], pose[:, :, None, 2]
-    at = into_frame(pose[:, None, :, :2], here, yaw.expand(-1, -1, pose.shape[1]))
+    position, yaw = pose[:, :, None, :2], pose[:, :, None, 2]
+    at = into_frame(pose[:, None, :, :2], position, yaw.expand(-1, -1, pose.shape[1]))
     gap_m = at[..., 0] - 0.5 * (size[:, :, None, 0] + size[:, None, :, 0])
     aside_m = at[..., 1].abs() - 0.5 * (size[:, :, None, 1] + size[:, None, :, 1])
     others = batch.present[:, None] & ~torch.eye(pose.shape[1], dtype=torch.bool, device=pose.device)

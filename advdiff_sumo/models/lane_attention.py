@@ -105,9 +105,9 @@ class LaneAttention(nn.Module):
         # keys and values are linear in the pieces, so that they are applied to query and pooled pieces instead
         of_key, of_value = (w.reshape(self.heads, -1, w.shape[1]) for w in self.key_value.weight.chunk(2))
         query = self.query(state).unflatten(-1, (self.heads, -1)) * of_key.shape[1] ** -0.5
-        asked = torch.einsum("brhd,hdw->brhw", query, of_key)
+        projected_query = torch.einsum("brhd,hdw->brhw", query, of_key)
         mask = pieces.valid[:, :, None]
-        score = (asked @ embedded.transpose(-1, -2)).masked_fill(~mask, -1e9)  # (B, R, H, 9)
+        score = (projected_query @ embedded.transpose(-1, -2)).masked_fill(~mask, -1e9)  # (B, R, H, 9)
         weight = torch.softmax(score, dim=-1) * mask
         pooled = torch.einsum("brhw,hdw->brhd", weight @ embedded, of_value).flatten(-2)
         bias = self.key_value.bias.chunk(2)[1]  # the keys' bias adds the same to every score

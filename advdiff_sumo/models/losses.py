@@ -70,8 +70,8 @@ def disc_pairs(rollout: Rollout, size: Tensor) -> tuple[Tensor, Tensor]:
     """Return the squared distances of all pairs of disc centres (B, A, A, T, 25) and the sums of radii (B, A, A, 1)."""
     steps = rollout.xy.shape[2]
     centres, radius = discs(rollout.xy, rollout.yaw, size[:, :, None].expand(-1, -1, steps, -1))
-    mine, yours = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
-    squared = (mine - yours).square().sum(-1).flatten(-2)
+    own_centres, other_centres = centres[:, :, None, :, :, None], centres[:, None, :, :, None]
+    squared = (own_centres - other_centres).square().sum(-1).flatten(-2)
     wide = radius[:, :, 0]
     # padding has no width: dividing by 0 would make all gradients NaN
     reach = (wide[:, :, None] + wide[:, None]).clamp(min=_LEAST_REACH_M)

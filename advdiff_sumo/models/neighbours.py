@@ -57,15 +57,15 @@ class Neighbours:
         columns = torch.stack(
             (x, y, torch.cos(yaw), torch.sin(yaw), speed, length, width), dim=1
         )  # (B, 7, A)
-        mine = columns.index_select(2, rows)[..., None].unbind(1)
+        own = columns.index_select(2, rows)[..., None].unbind(1)
         if which is None:
-            theirs = columns[:, :, None].unbind(1)
+            other = columns[:, :, None].unbind(1)
             oneself = rows[:, None] == torch.arange(xy.shape[1], device=xy.device)
         else:
             picked = columns.gather(2, which.flatten(1)[:, None].expand(-1, columns.shape[1], -1))
-            theirs = picked.reshape(*picked.shape[:2], *which.shape[1:]).unbind(1)
+            other = picked.reshape(*picked.shape[:2], *which.shape[1:]).unbind(1)
             oneself = which == rows[:, None]
-        (x, y, cos, sin, speed, length, width), own = theirs, mine
+        x, y, cos, sin, speed, length, width = other
         east, north = x - own[0], y - own[1]
         return Neighbours(
             which=which,

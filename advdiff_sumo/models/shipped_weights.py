@@ -26,14 +26,14 @@ def shipped_weights(name: ShippedName = "traffic") -> Path:
     return Path(str(files("advdiff_sumo"))) / "weights" / f"{name}.safetensors"
 
 
-def find_weights(given: str, default: ShippedName = "traffic") -> Path:
-    """Return the weights file *given* as a path, a training's folder or a shipped name; "": the *default*."""
-    path = Path(given)
-    if given and (path / WEIGHTS).is_file():
+def find_weights(name_or_path: str, default: ShippedName = "traffic") -> Path:
+    """Return the weights file *name_or_path* as a path, a training's folder or a shipped name; "": the *default*."""
+    path = Path(name_or_path)
+    if name_or_path and (path / WEIGHTS).is_file():
         return path / WEIGHTS
-    if given in get_args(ShippedName) and not path.exists():
-        default, given = cast("ShippedName", given), ""
-    return path if given else shipped_weights(default)
+    if name_or_path in get_args(ShippedName) and not path.exists():
+        default, name_or_path = cast("ShippedName", name_or_path), ""
+    return path if name_or_path else shipped_weights(default)
 
 
 def device_of(name: str, whose: str) -> torch.device:

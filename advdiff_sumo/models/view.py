@@ -92,10 +92,10 @@ def _nearest(scene: Scene, moved: BoolArray, most: int) -> IntArray:
     now = scene.history.xy_m[:, -1]
     gap = np.where(scene.history.valid[:, -1], np.hypot(*(now - now[scene.target]).T), np.inf)
     gap[scene.target] = -1.0
-    wanted = moved.copy()
-    wanted[scene.target] = True
-    order = np.lexsort((np.arange(len(gap)), gap, ~wanted))
-    count = max(most, int(wanted.sum()))
+    is_included = moved.copy()
+    is_included[scene.target] = True
+    order = np.lexsort((np.arange(len(gap)), gap, ~is_included))
+    count = max(most, int(is_included.sum()))
     picked = order[:count]
     picked = picked[np.isfinite(gap[picked])]
     return np.asarray(picked[np.lexsort((picked, gap[picked]))], dtype=np.int64)

@@ -35,11 +35,11 @@ class _FileDemand:
         return self.routes >= _MAX_ROUTES and math.isfinite(self.first_s)
 
 
-def first_departure_s(asked: Path, files: Sequence[Path], road: RoadMap, begin_s: float = 0.0) -> float:
+def first_departure_s(requested: Path, files: Sequence[Path], road: RoadMap, begin_s: float = 0.0) -> float:
     """Check *files* together, since they may use each other's types and routes, and return when traffic begins.
 
     Args:
-        asked: the path that the user gave, for messages on all files.
+        requested: the path that the user gave, for messages on all files.
         files: route files, and additional files, which may also contain types, routes and vehicles.
         road: the net on which they will run.
         begin_s: when the simulation begins by its configuration; no vehicle departs before.
@@ -58,21 +58,21 @@ def first_departure_s(asked: Path, files: Sequence[Path], road: RoadMap, begin_s
             )
     if not any(demand.vehicles for demand in demands):
         problem = "holds no vehicle, trip or flow with a route"
-        raise FileError(asked, problem, "give demand made for the net")
+        raise FileError(requested, problem, "give demand made for the net")
     first_s = min(demand.first_s for demand in demands)
     if math.isfinite(first_s):
         return float(math.floor(first_s))
     if begin_s > 0.0:
         problem = f"begins at {begin_s:g} s, after the last departure of its demand"
-        raise FileError(asked, problem, "correct its <begin>, or give later demand")
+        raise FileError(requested, problem, "correct its <begin>, or give later demand")
     return 0.0
 
 
 def file_that_names(ids: Iterable[str], files: Iterable[Path]) -> Path | None:
     """Return the first of *files* with a departing element whose id is among *ids*; None if there is none."""
-    wanted = set(ids)
+    id_set = set(ids)
     for path in files:
-        if any(element.tag in _DEPARTING and element.get("id") in wanted for element in elements(path)):
+        if any(element.tag in _DEPARTING and element.get("id") in id_set for element in elements(path)):
             return path
     return None
 

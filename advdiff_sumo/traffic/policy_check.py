@@ -106,7 +106,7 @@ def plans_from_memory_of_others(
         memory = policy.start(road, scene, log, np.random.default_rng(_SEED))
         return content_of(_plan(policy, road, scene, memory))
 
-    return remembers_situations(first_plan, situations, lambda one, other: one == other)
+    return remembers_situations(first_plan, situations, lambda first, other: first == other)
 
 
 class _BrokenContractError(Exception):

@@ -209,8 +209,8 @@ def _drives(
     """Yield the drives of the split, each with the challenge's (instant, agent) pairs if these are requested."""
     if not isinstance(reader, NuScenesReader):
         if options.split or options.challenge:
-            wanted = "--challenge" if options.challenge else f"--split {options.split}"
-            raise ConfigError(f"{wanted} goes with the tables of nuScenes only, and {path} is another log")
+            option = "--challenge" if options.challenge else f"--split {options.split}"
+            raise ConfigError(f"{option} goes with the tables of nuScenes only, and {path} is another log")
         yield from ((drive, None) for drive in reader.scenes())
         return
     wanted_windows = prediction_windows(reader.folder.parent) if options.challenge else None

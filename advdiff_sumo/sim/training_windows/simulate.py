@@ -195,9 +195,9 @@ def make_shard(shard: Shard, out: Path) -> int:
             for number, recording in enumerate(shard.stretches(road, run))
             for window in cut(recording, table, seed.child(number) if number else seed, f"{shard.name}-{run}")
         ]
-        wanted = min(run_windows, shard.windows - len(builder.windows))
+        window_count = min(run_windows, shard.windows - len(builder.windows))
         rng = seed.child("choice").generator()
-        picked = sorted(rng.permutation(len(windows))[:wanted].tolist())
+        picked = sorted(rng.permutation(len(windows))[:window_count].tolist())
         builder.windows += [windows[k] for k in picked]
         if len(builder.windows) == shard.windows:
             break

@@ -107,8 +107,8 @@ def _resized(changes: Tensor, steps: int) -> Tensor:
     return torch.cat((changes, changes.new_zeros(*changes.shape[:2], missing, 2)), dim=2)
 
 
-def _within(wanted: Tensor, previous: Tensor, max_change: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(wanted, previous - max_change), previous + max_change)
+def _within(desired: Tensor, previous: Tensor, max_change: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(desired, previous - max_change), previous + max_change)
 
 
 def _step_changes(values: Tensor, last: Tensor) -> Tensor:

@@ -85,8 +85,8 @@ def aim(lines: Lines, row: Row, s_m: FloatArray, states: FloatArray) -> tuple[Fl
     x, y = (lines.xy_m[near] + along[:, None] * lines.tangent[near] - states[:, :2]).T
     curvature = 2.0 * np.sin(np.arctan2(y, x) - yaw) / np.maximum(np.hypot(x, y), 1.0)
     lane_curvature = np.abs(wrap_angle(lines.yaw_rad[far] - yaw)) / (2.0 * look_ahead)
-    wanted = np.minimum(lines.limit_mps, np.sqrt(_LATERAL_MPS2 / np.maximum(lane_curvature, 1e-3)))
-    return _clipped(wanted - speed, -_BRAKE_MPS2, _ACCEL_MPS2), curvature
+    desired_mps = np.minimum(lines.limit_mps, np.sqrt(_LATERAL_MPS2 / np.maximum(lane_curvature, 1e-3)))
+    return _clipped(desired_mps - speed, -_BRAKE_MPS2, _ACCEL_MPS2), curvature
 
 
 def pursue(

@@ -85,7 +85,7 @@ def _slow(
     driven, speeds = np.empty(futures.steps), np.empty(futures.steps)
     for k in range(futures.steps):
         allowed = float(allowed_mps(begin_m, bound_mps, np.array([s + speed * dt]))[0])
-        wanted = min(float(planned[k]), max(allowed, speed - EASE_MPS2 * dt))
-        s += 0.5 * dt * (speed + wanted)
-        driven[k], speeds[k], speed = s, wanted, wanted
+        desired_mps = min(float(planned[k]), max(allowed, speed - EASE_MPS2 * dt))
+        s += 0.5 * dt * (speed + desired_mps)
+        driven[k], speeds[k], speed = s, desired_mps, desired_mps
     futures.put(row, *paths.at(row, driven), speeds)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError, os_reason
+from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError, UnknownNameError, os_reason
 
 if TYPE_CHECKING:
     from advdiff_sumo.export import Exporter, ExportScene
@@ -41,12 +41,8 @@ def export(
     What each format holds, and what it cannot, stands in docs/exports.md.
     """
     from advdiff_sumo.experiments.folder_rows import put_together  # late: not for --help
-    from advdiff_sumo.export import EXPORTERS, make_exporter
 
-    if not formats:
-        raise ConfigError(f"say which format with --format; known are: {', '.join(EXPORTERS.names())}, all")
-    names = EXPORTERS.names() if "all" in formats else formats
-    exporters = [make_exporter(name) for name in names]
+    exporters = _exporters(formats or [])
     put_together(run)
     scene = scene_of(run, episode)
     folder = out or run / "exports"
@@ -55,6 +51,24 @@ def export(
         _console.print(str(path))
     if refused:
         raise ConfigError("; ".join(refused))
+
+
+def _exporters(formats: Sequence[str]) -> list[Exporter]:
+    """Return the exporters of the *formats*, names of which 'all' means every one.
+
+    Raises:
+        ConfigError: no format was given, or a class cannot be imported or is no exporter.
+        UnknownNameError: no such format.
+    """
+    from advdiff_sumo.export import EXPORTERS, make_exporter  # late, as above
+
+    known = EXPORTERS.names()
+    if not formats:
+        raise ConfigError(f"say which format with --format; known are: {', '.join(known)}, all")
+    try:
+        return [make_exporter(name) for name in (known if "all" in formats else formats)]
+    except UnknownNameError as error:
+        raise UnknownNameError(error.kind, error.name, [*known, "all"]) from None
 
 
 def _write(scene: ExportScene, exporters: Sequence[Exporter], folder: Path) -> tuple[list[Path], list[str]]:

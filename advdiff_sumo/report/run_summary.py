@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from statistics import median
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import Row, broke_rule, has_outcome, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import wilson
 from advdiff_sumo.report.attack_words import out_of_position, plan_lines, position_lines
 
@@ -15,6 +15,8 @@ Rows: TypeAlias = Sequence[dict[str, Any]]
 
 def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     """Return (name, value with unit) of each line of the table at the end of a run.
+
+    Episodes without a verdict, as in folders of earlier versions, are left out of the rates that need one.
 
     Args:
         rows: of ``episodes.parquet``.
@@ -25,9 +27,9 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     timing = [row for row in timing if row.get("episode") in counted_episodes]
     collided = [row for row in counted if row["target_collision"]]
     lines = [
-        ("valid failures", _rate(_valid_failures(counted), len(counted))),
-        ("critical near misses", _rate(sum(bool(row["critical"]) for row in counted), len(counted))),
-        ("target breaks a rule", _rate(sum(map(broke_rule, counted)), len(counted))),
+        ("valid failures", _judged_rate(counted, "valid_failure", is_valid_failure)),
+        ("critical near misses", _judged_rate(counted, "critical", lambda row: bool(row["critical"]))),
+        ("target breaks a rule", _judged_rate(counted, "offences", broke_rule)),
         ("target collides", _rate(len(collided), len(counted))),
         ("… target at fault", _rate(sum(row["at_fault"] == "target" for row in collided), len(counted))),
         ("route completed", _rate(sum(bool(row["route_completed"]) for row in counted), len(counted))),
@@ -71,6 +73,12 @@ def summary_figures(rows: Rows) -> dict[str, Any]:
 
 def _valid_failures(counted: Rows) -> int:
     return sum(is_valid_failure(row) for row in counted)
+
+
+def _judged_rate(counted: Rows, column: str, happened: Callable[[Row], bool]) -> str:
+    """Return the rate of an event among the *counted* episodes in which *column* says whether it happened."""
+    judged = [row for row in counted if row.get(column) is not None]
+    return "not judged" if counted and not judged else _rate(sum(map(happened, judged)), len(judged))
 
 
 def _rate(count: int, total: int) -> str:

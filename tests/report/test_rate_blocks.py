@@ -29,6 +29,20 @@ def test_headline_counts(rows: Any) -> None:
     }
 
 
+def test_summary_and_headline_divide_by_the_judged_episodes(rows: Any) -> None:
+    """Folders of earlier versions hold episodes without a verdict."""
+    episodes = [
+        rows.struck(0, valid_failure=True, critical=False, offences="red_light"),
+        rows.struck(1),
+        rows.episode(2, valid_failure=False, critical=True),
+    ]
+    lines = dict(summary_lines(episodes, []))
+    labels = ("valid failures", "critical near misses", "target breaks a rule", "target collides")
+    assert [lines[label].split("  ")[-1] for label in labels] == ["1 of 2", "1 of 2", "1 of 1", "2 of 3"]
+    assert [(line.rate.count, line.rate.total) for line in headline(episodes)[:3]] == [(1, 2), (1, 2), (1, 1)]
+    assert dict(summary_lines([rows.struck(0)], []))["valid failures"] == "not judged"
+
+
 def test_a_contact_before_a_failure_counts(rows: Any) -> None:
     episodes = [
         rows.struck(0, end="failed", failure_kind="planner_error", valid_failure=True),

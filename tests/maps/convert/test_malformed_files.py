@@ -160,3 +160,18 @@ def test_a_sumo_net_needs_no_conversion(tmp_path: Path, networks: Path) -> None:
         MapError, match=r"downtown\.net\.xml: is a SUMO net already; give it as it is, with --net"
     ):
         convert_and_measure(networks / "downtown.net.xml", tmp_path / "a.net.xml", ConvertOptions())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<routes/>", "begins with <routes>, so it is no map of a known format; give a nuScenes map expansion"),
+        ("<OpenDRIVE/>", r"begins with <OpenDRIVE> but ends with \.xml; let its name end with \.xodr"),
+        ("<osm/>", r"begins with <osm> but ends with \.xml; let its name end with \.osm"),
+    ],
+)
+def test_other_xml_is_not_taken_for_a_commonroad_scenario(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.xml"
+    path.write_text(text)
+    with pytest.raises(MapError, match=said):
+        convert_and_measure(path, tmp_path / "a.net.xml", ConvertOptions())

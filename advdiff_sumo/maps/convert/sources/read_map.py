@@ -19,6 +19,8 @@ FORMATS = (
     "a CommonRoad scenario (.xml, .xml.gz), a Lanelet2 map (.osm), an OpenDRIVE file (.xodr), a nuPlan map (.gpkg)"
 )
 
+_ENDINGS = {"OpenDRIVE": ".xodr", "osm": ".osm"}
+
 
 def read_map(path: Path) -> SourceMap:
     """Return the map in *path*, of any supported format.
@@ -33,8 +35,7 @@ def read_map(path: Path) -> SourceMap:
         return argoverse2_map(data, path) if is_argoverse else nuscenes_map(data, path)
     if name.endswith(".xml"):
         root = load_xml(path)
-        if root.tag == "net":
-            raise MapError(path, "is a SUMO net already", "give it as it is, with --net")
+        _check_root(root.tag, path)
         return commonroad_map(root, path)
     if name.endswith(".osm"):
         return lanelet2_map(load_xml(path), path)
@@ -49,3 +50,13 @@ def read_map(path: Path) -> SourceMap:
             path, "is a folder", "give one map in it, or all maps of a nuScenes data set with --all"
         )
     raise MapError(path, "is of no known map format", f"give {FORMATS}")
+
+
+def _check_root(tag: str, path: Path) -> None:
+    """Raise a MapError unless *tag*, the root element of a file that ends with .xml, is CommonRoad's."""
+    if tag == "net":
+        raise MapError(path, "is a SUMO net already", "give it as it is, with --net")
+    if tag in _ENDINGS:
+        raise MapError(path, f"begins with <{tag}> but ends with .xml", f"let its name end with {_ENDINGS[tag]}")
+    if tag != "commonRoad":
+        raise MapError(path, f"begins with <{tag}>, so it is no map of a known format", f"give {FORMATS}")

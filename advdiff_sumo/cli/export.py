@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from advdiff_sumo.cli.terminal import terminal
-from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, NetError, UnknownNameError, os_reason
+from advdiff_sumo.core.errors import (
+    ConfigError,
+    FileError,
+    MissingExtraError,
+    NetError,
+    UnknownNameError,
+    os_reason,
+)
 
 if TYPE_CHECKING:
     from advdiff_sumo.export import Exporter, ExportScene

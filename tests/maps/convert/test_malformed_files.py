@@ -165,7 +165,10 @@ def test_a_sumo_net_needs_no_conversion(tmp_path: Path, networks: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("<routes/>", "begins with <routes>, so it is no map of a known format; give a nuScenes map expansion"),
+        (
+            "<routes/>",
+            "begins with <routes>, so it is no map of a known format; give a nuScenes map expansion",
+        ),
         ("<OpenDRIVE/>", r"begins with <OpenDRIVE> but ends with \.xml; let its name end with \.xodr"),
         ("<osm/>", r"begins with <osm> but ends with \.xml; let its name end with \.osm"),
     ],

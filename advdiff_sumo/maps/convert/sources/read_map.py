@@ -57,6 +57,8 @@ def _check_root(tag: str, path: Path) -> None:
     if tag == "net":
         raise MapError(path, "is a SUMO net already", "give it as it is, with --net")
     if tag in _ENDINGS:
-        raise MapError(path, f"begins with <{tag}> but ends with .xml", f"let its name end with {_ENDINGS[tag]}")
+        raise MapError(
+            path, f"begins with <{tag}> but ends with .xml", f"let its name end with {_ENDINGS[tag]}"
+        )
     if tag != "commonRoad":
         raise MapError(path, f"begins with <{tag}>, so it is no map of a known format", f"give {FORMATS}")

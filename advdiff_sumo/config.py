@@ -81,6 +81,8 @@ def _sentence(model: type[BaseModel], error: ValidationError) -> str:
         if isinstance(value, list):
             return f"{key} = {_short(value)}: that is a list; a group of options belongs there, such as {example}"
         return f"{key} = {_short(value)}: that is a group of options; set one of them, such as {example}"
+    if first["type"] == "tuple_type":
+        return f"{key} = {_short(value)}: give a list, such as [{_short(value)}]"
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error" and isinstance(value, Mapping):
         # a rule about several options names them itself

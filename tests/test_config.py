@@ -22,6 +22,7 @@ class Outer(Options):
     inner: Inner = Inner()
     count: int = 1
     must: int = 0
+    seeds: tuple[int, ...] = ()
 
 
 class Needy(Options):
@@ -44,7 +45,7 @@ def test_options_are_frozen() -> None:
         ({"cuont": 1}, "run.toml: no option 'cuont'; did you mean 'count'?"),
         ({"inner": {"stepS": 1}}, "run.toml: no option 'inner.stepS'; did you mean 'step_s'?"),
         ({"inner": {"step-s": 1}}, "run.toml: no option 'inner.step-s'; did you mean 'step_s'?"),
-        ({"zzz": 1}, "run.toml: no option 'zzz'; known are: count, inner, must"),
+        ({"zzz": 1}, "run.toml: no option 'zzz'; known are: count, inner, must, seeds"),
         ({"inner": {"step_s": -1.0}}, "run.toml: inner.step_s = -1.0: input should be greater than 0"),
         (
             {"inner": {"step_s": float("nan")}},
@@ -55,6 +56,8 @@ def test_options_are_frozen() -> None:
             {"inner": 3},
             "run.toml: inner = 3: that is a group of options; set one of them, such as inner.step_s",
         ),
+        ({"seeds": 3}, "run.toml: seeds = 3: give a list, such as [3]"),
+        ({"seeds": {"a": 1}}, "run.toml: seeds = {...}: give a list, such as [{...}]"),
         ({"step_s": 1}, "run.toml: no option 'step_s'; did you mean 'inner.step_s'?"),
         ({"inner": {"count": 1}}, "run.toml: no option 'inner.count'; did you mean 'count'?"),
         ({"inner.step_s": 1}, "run.toml: no option 'inner.step_s'; write it without quotation marks"),

@@ -51,7 +51,7 @@ class RunTables:
         path = self.folder / (SWEEP_SETTINGS if self.is_sweep else RUN_SETTINGS)
         try:
             return tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise self.error(path, "is missing", self.remedy) from None
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise self.error(path, f"cannot be read ({_line(error)})", self.remedy) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -13,6 +14,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_xml import elements, seconds
 
 _MAX_ROUTES = 500  # routes of a file that are checked, and more until the first departure is known
+_MAX_DEPARTURES = 20_000  # departures of a file whose order is checked
 _VEHICLES, _FLOWS = {"vehicle", "trip", "flow"}, {"flow", "personFlow", "containerFlow"}
 _DEPARTING = _VEHICLES | _FLOWS | {"person", "container"}  # tags of elements that depart
 _ROUTED = _VEHICLES | {"route", "walk", "ride", "personTrip"}  # tags of elements that name edges
@@ -74,6 +76,23 @@ def file_that_names(ids: Iterable[str], files: Iterable[Path]) -> Path | None:
     for path in files:
         if any(element.tag in _DEPARTING and element.get("id") in id_set for element in elements(path)):
             return path
+    return None
+
+
+def unordered_departure(path: Path) -> str | None:
+    """Return the id of the first vehicle, person or flow of *path* that departs before one above it; None if none does.
+
+    SUMO leaves such departures of a route file out with no more than a warning. The first 20,000 are checked.
+
+    Raises:
+        FileError: it cannot be read.
+    """
+    latest_s = -math.inf
+    for element in islice((row for row in elements(path) if row.tag in _DEPARTING), _MAX_DEPARTURES):
+        depart_s = seconds(element.get("begin" if element.tag in _FLOWS else "depart", "0"))
+        if depart_s is not None and depart_s < latest_s:
+            return element.get("id", "")
+        latest_s = latest_s if depart_s is None else depart_s
     return None
 
 

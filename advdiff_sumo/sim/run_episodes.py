@@ -26,6 +26,7 @@ from advdiff_sumo.maps.net_oddities import net_oddities
 from advdiff_sumo.maps.shipped_nets import find_net, net_name
 from advdiff_sumo.planners.planner_protocol import Planner, Served, SumoDriver, Target
 from advdiff_sumo.planners.planner_registry import BUILTIN_PLAN_S, TARGETS, make_target, plans_briefly
+from advdiff_sumo.sim.demand_check import unordered_departure
 from advdiff_sumo.sim.demand_files import DemandFiles, net_of_configuration, read_demand
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.logs import LoggedTraffic
@@ -230,8 +231,7 @@ def left_out(
     Raises:
         InputError: the log cannot be read.
     """
-    ignored = demand.ignored if demand is not None else ()
-    sentences = [f"{file} holds detectors and outputs only, and is left out" for file in ignored]
+    sentences = [] if demand is None else _left_out_of(demand)
     if log is None:
         return sentences
     logged = LoggedTraffic(road, log, options.scene, options.sim, SeedTree(options.seed))
@@ -239,6 +239,18 @@ def left_out(
     if standing:
         reason = f"its ego is slower than {min_speed_mps:g} m/s there"
         sentences.append(f"{counted(standing, 'start')} of the log passed over, {reason} ({options.scenes})")
+    return sentences
+
+
+def _left_out_of(demand: DemandFiles) -> list[str]:
+    """Return sentences on files of *demand* that are not used, and on departures that SUMO leaves out."""
+    sentences = [f"{file} holds detectors and outputs only, and is left out" for file in demand.ignored]
+    for file in demand.routes:
+        if (name := unordered_departure(file)) is not None:
+            problem = (
+                f"'{name}' departs before one above it, so SUMO leaves it and all others out of order out"
+            )
+            sentences.append(f"{file}: {problem}; sort the file by departure")
     return sentences
 
 

@@ -295,6 +295,12 @@ def test_missing_or_damaged_file_is_one_sentence(two_episodes: Path, name: str) 
         write_report(two_episodes)
 
 
+def test_a_file_is_no_folder_of_a_run(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("none")
+    with pytest.raises(FileError, match=r"run\.toml: is missing; give the folder of a finished run or sweep"):
+        write_report(tmp_path / "notes.txt")
+
+
 def test_table_of_another_version(two_episodes: Path) -> None:
     (two_episodes / "states.parquet").write_bytes((two_episodes / "episodes.parquet").read_bytes())
     with pytest.raises(FileError, match="lacks the columns step, time_s, agent"):

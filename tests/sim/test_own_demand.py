@@ -10,7 +10,7 @@ from advdiff_sumo.core.errors import FileError, SceneError
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.demand_files import net_of_configuration, read_demand
-from advdiff_sumo.sim.run_episodes import RunOptions
+from advdiff_sumo.sim.run_episodes import RunOptions, left_out
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic
@@ -171,3 +171,22 @@ def test_demand_that_gives_no_target_is_named_with_what_it_lacks(
         scene_of(road, path, **options)
     assert "density_per_km" not in str(raised.value)
     assert road.path.name not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("last", "unordered"),
+    [
+        ('<vehicle id="late" route="r" depart="10"/>', False),
+        ('<vehicle id="late" route="r" depart="00:00:09"/>', True),
+        ('<flow id="late" route="r" begin="0" end="99" period="9"/>', True),
+        ('<person id="late" depart="triggered"/>', False),
+    ],
+)
+def test_departures_that_sumo_leaves_out_are_noted(
+    road: RoadMap, tmp_path: Path, last: str, unordered: bool
+) -> None:
+    path = tmp_path / "a.rou.xml"
+    path.write_text(f'{TYPES[:-9]}<vehicle id="first" route="r" depart="10"/>{last}</routes>')
+    notes = left_out(RunOptions(demand=str(path)), road, read_demand(path, road), None)
+    problem = "'late' departs before one above it, so SUMO leaves it and all others out of order out"
+    assert notes == ([f"{path.resolve()}: {problem}; sort the file by departure"] if unordered else [])

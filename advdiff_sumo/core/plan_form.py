@@ -59,11 +59,11 @@ def values_problem(plan: Plan) -> str:
 
     The position of the vehicle is not considered.
     """
-    finite = all(np.isfinite(getattr(plan, name)).all() for name in plan_arrays(plan))
+    place = _not_finite(plan)
     if not isinstance(plan, Controls):
-        return "" if finite else "a trajectory that holds values that are not numbers"
-    if not finite:
-        return "controls that are not numbers"
+        return f"a trajectory that holds values that are not numbers: {place}" if place else ""
+    if place:
+        return f"controls that are not numbers: {place}"
     if _largest(plan.accel_mps2) > _MAX_CONTROL_MPS2:
         return f"an acceleration of {_largest(plan.accel_mps2):g} m/s², beyond {_MAX_CONTROL_MPS2:g}"
     if _largest(plan.steer_rad) >= 0.5 * np.pi:
@@ -95,6 +95,17 @@ def interval_problem(dt_s: Any) -> str:
         return f"is of type {type(dt_s).__name__}, not a number of seconds"
     if not (math.isfinite(dt_s) and dt_s > 0.0):
         return f"is {dt_s}, not a positive number of seconds"
+    return ""
+
+
+def _not_finite(plan: Plan) -> str:
+    """Return the name, index and value of the first entry of *plan* that is not finite; "" if there is none."""
+    for name in plan_arrays(plan):
+        values = getattr(plan, name)
+        indices = np.argwhere(~np.isfinite(values))
+        if len(indices):
+            index = tuple(indices[0])
+            return f"{name}[{', '.join(map(str, index))}] is {values[index]}"
     return ""
 
 

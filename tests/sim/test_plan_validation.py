@@ -76,6 +76,16 @@ def test_numbers_that_are_none_are_refused(field: str, value: float) -> None:
         check_plan(replace(plan, **{field: wrong}), HERE, 0.5, "it")
 
 
+def test_the_first_value_that_is_no_number_is_named() -> None:
+    bent = straight()
+    bent.xy_m[2, 1] = bent.xy_m[4, 0] = np.nan
+    steer = np.array((0.0, 0.1, -np.inf, 0.0, 0.0))
+    with pytest.raises(PlanRefusedError, match=r"not numbers: xy_m\[2, 1\] is nan$"):
+        check_plan(bent, HERE, 0.5, "it")
+    with pytest.raises(PlanRefusedError, match=r"not numbers: steer_rad\[2\] is -inf$"):
+        check_plan(Controls(np.ones(5), steer, 0.1), HERE, 0.5, "it")
+
+
 @pytest.mark.parametrize("accel", [(np.nan, 0.0), (0.0, np.inf), (51.0, 0.0), (0.0, 1.6)])
 def test_impossible_controls_are_refused(accel: tuple[float, float]) -> None:
     plan = Controls(np.full(5, accel[0]), np.full(5, accel[1]), 0.1)

@@ -75,16 +75,24 @@ def compare(
     from advdiff_sumo.cli.sweep_results import CONDITION_MET, condition_met  # late: --help is quick
     from advdiff_sumo.experiments.folder_rows import rows_of_folder
     from advdiff_sumo.sweep.condition import Condition
-    from advdiff_sumo.sweep.paired import COMPARED_NAMES, choose
+    from advdiff_sumo.sweep.paired import COMPARED_NAMES, NothingFinishedError, choose
     from advdiff_sumo.sweep.paired import compare as paired
 
     condition = None if fail_if is None else Condition(fail_if, COMPARED_NAMES)
     sides, episodes = [], []
-    for letter, folder, conditions in (("A", first, choose_a or []), ("B", second, choose_b or [])):
-        rows = rows_of_folder(folder)
-        episodes.append(choose(rows.episodes, conditions, f"--{letter.lower()}"))
-        sides.append(_Side(letter, folder, conditions, rows.of_run))
-    comparison = paired(episodes[0], episodes[1])
+    try:
+        for letter, folder, conditions in (("A", first, choose_a or []), ("B", second, choose_b or [])):
+            rows = rows_of_folder(folder)
+            episodes.append(choose(rows.episodes, conditions, f"--{letter.lower()}"))
+            sides.append(_Side(letter, folder, conditions, rows.of_run))
+        comparison = paired(episodes[0], episodes[1])
+    except NothingFinishedError as error:
+        if condition is None:
+            raise
+        terminal(stderr=True, soft_wrap=True).print(
+            f"{error}: --fail-if {fail_if} cannot be tested", style="red"
+        )
+        raise typer.Exit(CONDITION_MET) from None
     console = terminal(quiet=as_json)
     _print(console, comparison, sides)
     if as_json:

@@ -33,6 +33,10 @@ COMPARED_NAMES = frozenset({*_COUNTS, *(f"{rate}_{part}" for rate in EVENTS for 
 _MAX_CHOICES = 4
 
 
+class NothingFinishedError(ConfigError):
+    """No episode finished to compare; a condition on the comparison counts as met."""
+
+
 @dataclass(frozen=True)
 class RateChange:
     """Difference of a rate between the two.
@@ -146,7 +150,9 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
             problem = "none of its episodes is so"
             raise ConfigError(f"{what} {condition}: {problem}; {did_you_mean(value, values)}")
     if not rows:
-        raise ConfigError(f"the {_SIDE_NAMES[what]} has no episode with results; its failures say why")
+        raise NothingFinishedError(
+            f"the {_SIDE_NAMES[what]} has no episode with results; its failures say why"
+        )
     if not chosen:
         raise ConfigError(f"{what} {' '.join(conditions)}: none of its episodes is so")
     return chosen
@@ -161,6 +167,7 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         seed: seed of the bootstrap.
 
     Raises:
+        NothingFinishedError: in no seed scene did both finish.
         ConfigError: they share no seed scene, or one of them has several episodes for one side of a pair.
     """
     columns = ("scene_key", *_shared(first, second))
@@ -172,7 +179,7 @@ def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Compa
         )
     paired_keys = [key for key in keys if has_outcome(rows_a[key]) and has_outcome(rows_b[key])]
     if not paired_keys:
-        raise ConfigError("no seed scene was finished in both")
+        raise NothingFinishedError("no seed scene was finished in both")
     pairs = [(rows_a[key], rows_b[key]) for key in paired_keys]
     draws = _Bootstrap([key[0] for key in paired_keys], seed)
     return Comparison(

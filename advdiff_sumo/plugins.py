@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError, did_you_mean
@@ -99,7 +100,7 @@ class Registry:
         loaded = self.load(canonical)
         if not callable(loaded):
             raise ConfigError(
-                f"{self.kind} '{canonical}' is a {type(loaded).__name__}, not a class or function"
+                f"{self.kind} '{canonical}' is of type {type(loaded).__name__}, not a class or function"
             )
         factory: Callable[..., Any] = loaded
         return factory
@@ -212,7 +213,18 @@ def _missing_attribute(owner: Any, part: str) -> str:
     hint = f"; {did_you_mean(part, class_names)}" if class_names else ""
     if owner.__name__ == "__main__":
         hint = _SCRIPT_REMEDY
+    elif (hidden := _hidden_file(owner)) is not None:
+        hint = f"; this module hides {hidden}: give that file another name"
     return f"'{owner.__name__}' has no attribute '{part}'{hint}"
+
+
+def _hidden_file(owner: Any) -> Path | None:
+    """Return the file in the current folder that *owner*, a module from elsewhere, hides; None if there is none."""
+    if not isinstance(owner, ModuleType):
+        return None
+    file = Path.cwd() / f"{owner.__name__.replace('.', '/')}.py"
+    is_owner = Path(owner.__file__ or "").resolve() == file.resolve()
+    return None if is_owner or not file.is_file() else file
 
 
 def _remedy(target: str, error: Exception) -> str:

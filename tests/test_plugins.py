@@ -110,6 +110,22 @@ def install(entry_point: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> 
     monkeypatch.syspath_prepend(str(folder))
 
 
+def test_a_users_file_that_a_module_of_its_name_hides_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hidden = tmp_path / "fractions.py"
+    hidden.write_text("class MyPlanner: ...\n")
+    monkeypatch.chdir(tmp_path)
+    problem = "target 'fractions:MyPlanner' cannot be imported: 'fractions' has no attribute 'MyPlanner'"
+    with pytest.raises(ConfigError) as refused:
+        TARGETS.load("fractions:MyPlanner")
+    assert str(refused.value) == f"{problem}; this module hides {hidden}: give that file another name"
+    hidden.unlink()
+    with pytest.raises(ConfigError) as unhidden:
+        TARGETS.load("fractions:MyPlanner")
+    assert "hides" not in str(unhidden.value)
+
+
 def test_plugins_come_from_entry_points(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install("Their_Planner = fractions:Fraction", monkeypatch, tmp_path)
     assert SHAPES.names() == ["lane_graph", "IDM", "Their_Planner"]

@@ -100,7 +100,7 @@ class Registry:
         loaded = self.load(canonical)
         if not callable(loaded):
             raise ConfigError(
-                f"{self.kind} '{canonical}' is of type {type(loaded).__name__}, not a class or function"
+                f"{self.kind} '{canonical}' is a {type(loaded).__name__}, not a class or function"
             )
         factory: Callable[..., Any] = loaded
         return factory

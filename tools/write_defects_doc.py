@@ -106,10 +106,12 @@ def _run_text(name: str, columns: list[str], title: str) -> str:
 
 
 def _lines(names: list[str], which: str) -> list[dict[str, str]]:
-    """Return the lines of all tables *names*; each column is taken from the last table that has it."""
+    """Return the lines of all tables *names*; each column, a background, is taken from the last that has it."""
     shown = _shown(names)
     lines = ((name, line) for name in names for line in _read(f"{name}{which}"))
-    return [line for name, line in lines if line.get("column", "") in (*shown[name], "")]
+    return [
+        line for name, line in lines if line.get("column", line.get("background", "")) in (*shown[name], "")
+    ]
 
 
 def _shown(names: list[str]) -> dict[str, list[str]]:

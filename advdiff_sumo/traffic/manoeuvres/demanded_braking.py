@@ -44,8 +44,11 @@ def demanded_braking(
             matched = _to_match_speed(faster, room_m, float(futures.speed_mps[k, -1]), float(perceived_s[k]))
             needed[k] = max(needed[k], matched)
         if manoeuvre.revealed_row is not None:
-            speed_mps = view.speed(manoeuvre.revealed_row)
-            room_m = _gap_to_revealed_m(view, target, manoeuvre) - CLEARANCE_M + speed_mps * CHECK_TIMES_S
+            revealed, speed_mps = manoeuvre.revealed_row, view.speed(manoeuvre.revealed_row)
+            beyond_m = view.position_on(view.ways[manoeuvre.row], revealed)[0]
+            ahead_m = view.on_target_way[manoeuvre.row][0] + beyond_m
+            gap_m = view.gap_m(ahead_m, revealed, view.scene.target)
+            room_m = gap_m - CLEARANCE_M + speed_mps * CHECK_TIMES_S
             needed[k] = max(needed[k], _to_match_speed(target, room_m, speed_mps, float(perceived_s[k])))
         if manoeuvre.kind in ENDS_STANDING and _stops(manoeuvre):
             stop_distance_m = float(
@@ -60,14 +63,6 @@ def _gap_m(view: SituationView, target: TargetWay, manoeuvre: Manoeuvre) -> floa
     """Return the gap from the target's front to the attacker's rear; negative if that is not ahead of the front."""
     half_lengths_m = 0.5 * float(view.size(manoeuvre.row)[0] + target.size_m[0])
     return view.on_target_way[manoeuvre.row][0] - half_lengths_m
-
-
-def _gap_to_revealed_m(view: SituationView, target: TargetWay, cut_out: Manoeuvre) -> float:
-    """Return the gap from the target's front to the rear of the vehicle that *cut_out* reveals, past its leader."""
-    assert cut_out.revealed_row is not None  # noqa: S101 - the caller checks it
-    beyond_m = view.position_on(view.ways[cut_out.row], cut_out.revealed_row)[0]
-    half_lengths_m = 0.5 * float(view.size(cut_out.revealed_row)[0] + target.size_m[0])
-    return view.on_target_way[cut_out.row][0] + beyond_m - half_lengths_m
 
 
 def _obstacles(

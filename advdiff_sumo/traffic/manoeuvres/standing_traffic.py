@@ -77,8 +77,7 @@ class StandingTraffic:
     @property
     def _lasts_s(self) -> float:
         """The longest duration of its presence."""
-        is_slow = self.kind == "cut-out" and self.members[0].speed_mps > 0.0
-        return HIDDEN_LASTS_S if is_slow else _LASTS_S[self.kind]
+        return HIDDEN_LASTS_S if _is_slow_hidden(self.kind, self.members) else _LASTS_S[self.kind]
 
     @property
     def is_queue(self) -> bool:
@@ -202,12 +201,17 @@ def _is_over(view: SituationView, members: tuple[Newcomer, ...], kind: str) -> b
     rows = [history.index[member.name] for member in members]
     offset = history.xy_m[rows, -1] - history.xy_m[target, -1]
     ahead = offset @ unit(history.yaw_rad[target, -1])
-    is_closed_up_to = kind == QUEUE or (kind == "cut-out" and members[0].speed_mps > 0.0)
+    is_closed_up_to = kind == QUEUE or _is_slow_hidden(kind, members)
     closed_up = is_closed_up_to and view.speed(target) <= members[0].speed_mps + _CLOSED_UP_MPS
     if (ahead < 0.0).all() or closed_up:
         return True
     crawling = (row for row, member in zip(rows, members, strict=True) if member.speed_mps)
     return any(_has_leader(history, row, rows) for row in crawling)
+
+
+def _is_slow_hidden(kind: str, members: tuple[Newcomer, ...]) -> bool:
+    """Return whether *members*, at least one, are a vehicle that a leader hides and that drives."""
+    return kind == "cut-out" and members[0].speed_mps > 0.0
 
 
 def _has_leader(history: Tracks, row: int, members: list[int]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_DT_S, CHECK_TIMES_S
+from advdiff_sumo.traffic.manoeuvres.target_lane_change import target_entering
 
 CARELESS_ALLOWS = frozenset((BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SPEEDING))
 """Breaches that the licence "careless" limits by its own bounds."""
@@ -27,7 +29,8 @@ def plan_breaches(
 ) -> list[frozenset[BreachKind]]:
     """Return for each of R plans which rules its vehicle would break.
 
-    Each plan is tried with a target that follows its way without braking, and with one that brakes at 4 m/s².
+    Each plan is tried with a target that follows its way without braking, and with one that brakes at 4 m/s²; where
+    the target is changing lanes, with one that completes the lane change as well.
 
     Args:
         view: the scene; its target is on a lane.
@@ -42,8 +45,10 @@ def plan_breaches(
     if view.target is None:
         raise ValueError("no plan can be judged against a target that is on no lane")
     broken: list[set[BreachKind]] = [set() for _ in rows]
-    for braking in _TARGET_BRAKING_MPS2:
-        planned = _planned(view, view.target, rows, (xy_m, yaw_rad, speed_mps), braking)
+    entering = target_entering(view)
+    targets = (view.target,) if entering is None else (view.target, entering)
+    for target, braking in product(targets, _TARGET_BRAKING_MPS2):
+        planned = _planned(view, target, rows, (xy_m, yaw_rad, speed_mps), braking)
         for row, kinds in _contact_breaches(planned).items():
             broken[row - 1] |= kinds
         first_step = planned.tracks.steps - len(CHECK_TIMES_S)

@@ -1,4 +1,7 @@
-"""Of three lanes the outermost leaves the road: a target that must change from it is left room on the next lane."""
+"""A target that changes lanes, or must, is left room on the lane beside.
+
+Of three lanes the outermost leaves the road, so that a target on it whose route goes straight on must change.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +41,26 @@ def _road(folder: Path, left: bool) -> RoadMap:
 
 
 def refused(
-    road: RoadMap, route: tuple[str, ...], lane: int, ahead_m: float, sideways_m: float
+    road: RoadMap,
+    route: tuple[str, ...],
+    lane: int,
+    ahead_m: float,
+    sideways_m: float,
+    target_lane: int = 0,
+    drift_mps: float = 0.0,
 ) -> tuple[int, ...]:
-    """Return the refused rows; the other, *ahead_m* of a target on the outermost lane, moves *sideways_m* in 2.5 s."""
-    cars = {"target": (0, 110.0, TARGET_MPS), "other": (lane, 110.0 + ahead_m, OTHER_MPS)}
+    """Return the refused rows; the other, *ahead_m* of the target, moves *sideways_m* in 2.5 s.
+
+    The target has moved sideways with *drift_mps* since it was on the centre line of its lane, 1 s ago.
+    """
+    cars = {"target": (target_lane, 110.0, TARGET_MPS), "other": (lane, 110.0 + ahead_m, OTHER_MPS)}
     scene = scene_on({name: (road.lanes[f"WM_{k}"], s, v) for name, (k, s, v) in cars.items()})
-    scene = replace(scene, routes=(route, THROUGH))
+    past_s = scene.history.dt_s * np.arange(1 - scene.history.steps, 1)
+    shift = np.zeros_like(scene.history.xy_m)
+    shift[0, :, 1] = drift_mps * np.maximum(1.0 + past_s, 0.0)
+    scene = replace(
+        scene, routes=(route, THROUGH), history=replace(scene.history, xy_m=scene.history.xy_m + shift)
+    )
     view = look(road, scene, np.zeros(2, dtype=np.bool_))
     time_s = MODEL_STEP_S * np.arange(FUTURE_STEPS + 1)
     xy = scene.history.xy_m[:, -1:] + scene.history.speed_mps[:, -1, None, None] * time_s[:, None] * (
@@ -71,3 +88,25 @@ def test_a_plan_that_leaves_room_or_keeps_its_lane_is_allowed(
     roads: dict[bool, RoadMap], lane: int, ahead_m: float, sideways_m: float
 ) -> None:
     assert refused(roads[False], THROUGH, lane, ahead_m, sideways_m) == ()
+
+
+@pytest.mark.parametrize("left", [False, True])
+def test_a_plan_that_enters_a_lane_from_the_other_side_than_the_target_is_refused(
+    roads: dict[bool, RoadMap], left: bool
+) -> None:
+    """The target changes from the innermost lane to the middle one, which the other enters from the outermost."""
+    side = -1.0 if left else 1.0
+    changing, keeping = (
+        refused(roads[left], THROUGH, 0, 12.5, 3.2 * side, target_lane=2, drift_mps=-drift * side)
+        for drift in (1.0, 0.3)
+    )
+    assert changing == (1,)
+    assert keeping == ()  # it drifts within its lane
+
+
+def test_a_plan_that_moves_sideways_into_a_target_that_changes_lanes_is_refused(
+    roads: dict[bool, RoadMap],
+) -> None:
+    """They are side by side."""
+    assert refused(roads[False], THROUGH, 0, 2.0, 3.2, target_lane=2, drift_mps=-1.0) == (1,)
+    assert refused(roads[False], THROUGH, 0, 2.0, 0.0, target_lane=2, drift_mps=-1.0) == ()

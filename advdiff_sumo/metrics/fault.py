@@ -24,6 +24,7 @@ from advdiff_sumo.metrics.breaches.junction_rules import (
     ran_red,
     signals_are_unknown,
 )
+from advdiff_sumo.metrics.breaches.lane_rules import sideways_breach
 from advdiff_sumo.metrics.breaches.striking_rules import pushed_by
 from advdiff_sumo.metrics.collision_type import CollisionType
 from advdiff_sumo.metrics.encounter import Encounter, Party
@@ -142,8 +143,8 @@ def _by_gap(case: Encounter, entry: LaneEntry) -> Fault:
     return Fault(at_fault, f"'{case.other.name}' entered the target's lane {gaps}.")
 
 
-def _lane_keeping(_view: TrafficView, case: Encounter, kind: CollisionType) -> Fault | None:
-    """Judge side and head-on collisions: the party that left its lane, or entered the other's, is at fault."""
+def _lane_keeping(view: TrafficView, case: Encounter, kind: CollisionType) -> Fault | None:
+    """Judge side and head-on collisions: the party that left its lane, entered the other's or moved sideways did it."""
     if case.cut_in is not None and not case.crossing:
         return _by_lane_entry(case, case.cut_in, kind)
     target_left, other_left = case.target.leaves_lane, case.other.leaves_lane
@@ -152,7 +153,7 @@ def _lane_keeping(_view: TrafficView, case: Encounter, kind: CollisionType) -> F
     if target_left and not other_left:
         return Fault(AtFault.TARGET, f"The target was out of its lane, '{case.other.name}' was not.")
     if kind is CollisionType.SIDE:
-        return _by_fronts(case)
+        return _by_drift(view, case) or _by_fronts(case)
     return Fault(AtFault.UNCLEAR, "Both or neither of the two were out of their lanes.")
 
 
@@ -163,6 +164,16 @@ def _by_lane_entry(case: Encounter, entry: LaneEntry, kind: CollisionType) -> Fa
     if entry.row == case.target.row:
         return Fault(AtFault.TARGET, f"The target moved into the lane of '{case.other.name}' {where}.")
     return Fault(AtFault.OTHER, f"'{case.other.name}' moved into the target's lane {where}.")
+
+
+def _by_drift(view: TrafficView, case: Encounter) -> Fault | None:
+    """Judge by the motion across the lanes, where one alone moved sideways into the vehicle beside."""
+    target_drifts, other_drifts = (sideways_breach(view, case, i) is not None for i in (0, 1))
+    if target_drifts and not other_drifts:
+        return Fault(AtFault.TARGET, f"The target moved sideways into '{case.other.name}'.")
+    if other_drifts and not target_drifts:
+        return Fault(AtFault.OTHER, f"'{case.other.name}' moved sideways into the target.")
+    return None
 
 
 def _by_fronts(case: Encounter) -> Fault | None:

@@ -14,6 +14,7 @@ _ACTIONS: Mapping[str, str] = {
     "double": "stop hard before it while others are nearer",
     "slow-merge": "merge slowly before it",
     "pull-out": "pull out before it",
+    "close-pass": "pass it on the lane beside",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
     "junction": "cross its way",

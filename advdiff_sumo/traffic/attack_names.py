@@ -14,6 +14,7 @@ FurtherAttack: TypeAlias = Literal[
     "double",
     "slow-merge",
     "pull-out",
+    "close-pass",
 ]
 """Attacks under a licence besides "any", "hard-stop" and "cut-in"."""
 Kind: TypeAlias = Literal["any", "hard-stop", "cut-in", FurtherAttack]

@@ -303,6 +303,16 @@ ENCOUNTERS: tuple[Constructed, ...] = (
         Expected("target", ("sideways",), (), True),
     ),
     Constructed(
+        "drifts within its lane into a vehicle at the line",
+        # lanes of 3.2 m, the line at -3.2: they touch where the one box is over it by 0.05 m
+        lambda _: (
+            straight("steady", (-150, -2.25), 0, 12),
+            straight("drifting", (-150, -4.8), 0, 12, drift=1.0),
+        ),
+        Expected("other", (), ("sideways",), False),
+        Expected("target", ("sideways",), (), True),
+    ),
+    Constructed(
         "both drift into each other",
         # both moved sideways
         lambda _: (

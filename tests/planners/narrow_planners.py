@@ -41,3 +41,14 @@ class NearestAhead(NearestThree):
     def apart_m(self, scene: Scene) -> FloatArray:
         """Return (A,) the distance of each road user ahead; inf for those behind."""
         return np.where(seen_from_target(scene)[0][:, 0] > 0.0, super().apart_m(scene), np.inf)
+
+
+class WithoutMirrors(LaneGraphPlanner):
+    """``lane_graph`` that sees nobody behind its front axle, roughly: neither beside nor behind it."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
+        """Return the plan of a planner that sees only who is ahead."""
+        ahead_m, left_m = seen_from_target(scene)[0].T
+        hidden = (ahead_m < -1.0) | ((ahead_m < 4.0) & (np.abs(left_m) > 1.5))
+        hidden[scene.target] = False
+        return super().plan(road, scene.without(hidden & scene.history.valid[:, -1]), memory, rng)

@@ -77,7 +77,7 @@ def lane_entry_breach(view: TrafficView, case: Encounter, index: int) -> Breach 
     """
     party, entry = case.parties[index], case.entry
     if party.stood or entry is None or entry.row != party.row:
-        return _sideways(view, case, index)
+        return sideways_breach(view, case, index)
     if case.crossing or entry.oncoming or not (entry.leaves_lane or party.is_pedestrian):
         return None
     if entry.safe or entry.recovered or breach_towards_pedestrian(view, case, index) is not None:
@@ -92,7 +92,7 @@ def lane_entry_breach(view: TrafficView, case: Encounter, index: int) -> Breach 
     return Breach(BreachKind.UNSAFE_LANE_ENTRY, party.row, entry.time_s, f"entered the {lane} {gaps}")
 
 
-def _sideways(view: TrafficView, case: Encounter, index: int) -> Breach | None:
+def sideways_breach(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     """Return the breach of moving sideways into a vehicle beside, if neither entered the other's lane."""
     party, other = case.parties[index], case.parties[1 - index]
     if case.entry is not None or case.crossing or party.is_pedestrian or party.stands:

@@ -36,6 +36,7 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "double": ("double", "any"),
     "slow-merge": ("slow-merge", "any"),
     "pull-out": ("pull-out", "any"),
+    "close-pass": ("close-pass", "any"),
 }
 """Attack → its manoeuvre under a licence, and the cost term of the guide."""
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, has_red_ahead
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
+from advdiff_sumo.traffic.manoeuvres.close_pass import close_pass
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, PATIENCE_S, SUPPORT_KINDS, Commitments
 from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
@@ -17,7 +18,7 @@ from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import with_braking, with_severity
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE
+from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, can_begin_later
 
@@ -26,7 +27,8 @@ _MIN_MERITS = ((PATIENCE_S, 0.4),)
 _MIN_LEADER_MERITS = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
 """The same for a leader that lets the target close up, and that no red light will stop soon."""
 _SOON_S = 0.5  # the follower brakes for a crossing vehicle when the target must respond within this time
-_PROPOSALS = {**PROPOSALS, DOUBLE: hard_stop_in_company}
+_PROPOSALS = {**PROPOSALS, DOUBLE: hard_stop_in_company, CLOSE_PASSING: close_pass}
+_NEEDS_NO_BRAKING = (*SUPPORT_KINDS, CLOSE_PASSING)
 _FULLY_CHECKED = 4  # number of manoeuvres that are checked in full, best first
 
 
@@ -76,10 +78,10 @@ def _go_together(first: Manoeuvre, second: Manoeuvre) -> bool:
 
 def _follower_can_stop(view: SituationView, chosen: Chosen) -> bool:
     """Return whether the vehicle behind the target can brake in time, too."""
-    behind = view.follower
-    if behind is None or behind == chosen.manoeuvre.row or chosen.manoeuvre.is_positioning:
+    behind, manoeuvre = view.follower, chosen.manoeuvre
+    if behind in (None, manoeuvre.row) or manoeuvre.is_positioning or manoeuvre.kind in _NEEDS_NO_BRAKING:
         return True
-    return braking_behind(view, behind, response_time_s(view, chosen.manoeuvre)) is not None
+    return braking_behind(view, behind, response_time_s(view, manoeuvre)) is not None
 
 
 def follower_braking(
@@ -93,7 +95,7 @@ def follower_braking(
     if row not in view.movable or any(m.row == row or m.kind == FOLLOWS for m in driven):
         return []
     attacks = [m for m in driven if not m.is_positioning and (m in fresh or m.kind == "crossing")]
-    responses = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in SUPPORT_KINDS]
+    responses = [(m.kind, response_time_s(view, m)) for m in attacks if m.kind not in _NEEDS_NO_BRAKING]
     soon_s = [time_s for kind, time_s in responses if kind != "crossing" or time_s < _SOON_S]
     braking = braking_behind(view, row, min(soon_s)) if soon_s else None
     return [braking] if braking is not None and still_lawful(view, braking, licence) else []

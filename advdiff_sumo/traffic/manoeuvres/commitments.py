@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, KINDS, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
@@ -72,7 +72,7 @@ class Commitments:
         blocked_s: id → time since when the target's box has blocked its way.
         preference: for encounters in which the target is predicted to fail; None: nothing is predicted.
         standing: vehicles that stand ahead for an encounter.
-        company: ids of the vehicles that accompany the target now, see ``company``.
+        company: id → what each vehicle that accompanies the target takes part in, see ``company`` and ``close_pass``.
     """
 
     weights: Mapping[str, float]
@@ -85,7 +85,7 @@ class Commitments:
     blocked_s: Mapping[str, float] = field(default_factory=dict)
     preference: EncounterPreference | None = None
     standing: StandingTraffic = field(default_factory=StandingTraffic)
-    company: tuple[str, ...] = ()
+    company: Mapping[str, str] = field(default_factory=dict)
 
     def startable_kinds(self, view: SituationView) -> tuple[str, ...]:
         """Return the kinds that may begin now: at first the one whose turn it is and crossing, later all.
@@ -137,7 +137,7 @@ class Commitments:
             if not under_way.is_positioning and under_way.kind != FOLLOWS
         }
         return {
-            **dict.fromkeys(self.company, DOUBLE),
+            **self.company,
             **kinds,
             **dict.fromkeys(self.standing.names, self.standing.kind),
         }
@@ -169,7 +169,7 @@ class Commitments:
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
         agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
-        if preference is not None and attack in (QUEUE, DOUBLE, *SLOW_ENTRIES):
+        if preference is not None and attack in (QUEUE, DOUBLE, CLOSE_PASSING, *SLOW_ENTRIES):
             preference = None  # nothing is predicted for it
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(kind,))

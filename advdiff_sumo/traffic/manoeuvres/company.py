@@ -56,13 +56,13 @@ def company_places(view: SituationView) -> dict[str, tuple[float, ...]]:
         return {}
     spacing = car_spacing_m(target.speed_mps)
     front = _FRONT_SHARE * spacing, (_FRONT_SHARE - 1.0) * spacing
-    sides = [side for side in ("left", "right") if _has_lane_beside(view, target, side)]
+    sides = [side for side in ("left", "right") if has_lane_beside(view, target, side)]
     if len(sides) == 2:
         return {sides[0]: front, sides[1]: (_LEVEL_SHARE * spacing,)}
     return {sides[0]: front, "": (-spacing,)} if sides else {}
 
 
-def _has_lane_beside(view: SituationView, target: TargetWay, side: str) -> bool:
+def has_lane_beside(view: SituationView, target: TargetWay, side: str) -> bool:
     """Return whether there is a lane to the target's *side* that neither ends nor leads into the target's way.
 
     Lanes of a junction have no neighbours: there, return whether a vehicle accompanies the target on that side.
@@ -136,7 +136,7 @@ def company_rows(view: SituationView, side: str) -> Sequence[int]:
     sign = 1.0 if side == "left" else -1.0
     rows = []
     for row in view.movable:
-        ahead, left = _local_position(view, row)
+        ahead, left = local_position(view, row)
         is_beside = _MIN_ASIDE_M < sign * left < BESIDE_M and _REACH_M[0] < ahead < _REACH_M[1]
         same_way = np.cos(yaw[row] - yaw[target]) > MIN_HEADING_COSINE
         if is_beside and same_way and not _joins(view.target, view.ways[row]):
@@ -144,7 +144,7 @@ def company_rows(view: SituationView, side: str) -> Sequence[int]:
     return [row for _, row in sorted(rows)]
 
 
-def _local_position(view: SituationView, row: int) -> tuple[float, float]:
+def local_position(view: SituationView, row: int) -> tuple[float, float]:
     """Return the position of *row* ahead of the target and to its left, along and across the target's heading."""
     history, target = view.scene.history, view.scene.target
     yaw = float(history.yaw_rad[target, -1])
@@ -156,12 +156,12 @@ def _assigned(
     view: SituationView, rows: Sequence[int], places_m: tuple[float, ...]
 ) -> Iterator[tuple[int, float]]:
     """Yield (row, place) for the nearest of *rows*, in the order in which they drive."""
-    nearest = sorted(rows[: len(places_m)], key=lambda row: -_local_position(view, row)[0])
+    nearest = sorted(rows[: len(places_m)], key=lambda row: -local_position(view, row)[0])
     if len(nearest) == len(places_m):
         yield from zip(nearest, places_m, strict=True)
     else:
         for row in nearest:
-            ahead_m = _local_position(view, row)[0]
+            ahead_m = local_position(view, row)[0]
             yield row, min(places_m, key=lambda place: abs(place - ahead_m))
 
 
@@ -171,7 +171,7 @@ def _keep_place(view: SituationView, target: TargetWay, row: int, place_m: float
     limit = way.lane.speed_mps
     lowest = max(_MIN_SPEED_SHARE * target.speed_mps, target.speed_mps - _MAX_SLOWER_MPS)
     target_then = target.speed_mps + _ADAPTS_S * view.speed_gain_mps2(view.scene.target)
-    missing_m = place_m - _local_position(view, row)[0]
+    missing_m = place_m - local_position(view, row)[0]
     wish = float(np.clip(target_then + _CLOSING_PER_S * missing_m, min(lowest, limit), limit))
     accel = float(np.clip((wish - speed) / _ADAPTS_S, -_ACCEL_MPS2, _ACCEL_MPS2))
     return Manoeuvre(
@@ -183,7 +183,7 @@ def is_settled(view: SituationView) -> bool:
     """Return whether the company comes no nearer: all vehicles of it that are near are about as fast as the target."""
     speed = view.speed(view.scene.target)
     company = (
-        (row, _local_position(view, row)[0])
+        (row, local_position(view, row)[0])
         for side, places_m in company_places(view).items()
         for row in company_rows(view, side)[: len(places_m)]
     )

@@ -12,6 +12,7 @@ from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
 from advdiff_sumo.traffic.manoeuvres.choice import rank
+from advdiff_sumo.traffic.manoeuvres.close_pass import continued_pass
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, SUPPORT_KINDS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.demanded_braking import demanded_braking
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, still_follows
@@ -21,6 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_mano
 from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
+    CLOSE_PASSING,
     DOUBLE,
     ENDS_STANDING,
     KINDS,
@@ -42,6 +44,7 @@ _MAX_DURATION_S: Mapping[str, float] = {
     "stop-and-go": 6.0,
     SLOW_MERGE: 10.0,
     PULL_OUT: 12.0,
+    CLOSE_PASSING: 14.0,
 }
 _DEFAULT_MAX_DURATION_S = 7.0
 _OVER_LINE_M = 0.2  # a box that reaches so far into the goal lane has entered it
@@ -79,7 +82,6 @@ def _remaining(
     licence: Licence | None,
 ) -> Manoeuvre | None:
     """Return what remains of a manoeuvre; None if it has ended."""
-    intensity = memory.intensity
     passed_s = view.scene.time_s - under_way.since_s
     max_duration_s = _MAX_DURATION_S.get(under_way.kind, _DEFAULT_MAX_DURATION_S)
     if row is None or under_way.is_positioning or passed_s >= max_duration_s:
@@ -88,6 +90,16 @@ def _remaining(
         return None  # both stand: the encounter is over
     if under_way.kind in LEADER_KINDS and not _is_ahead(view, row):
         return None  # the target has left its lane, or has passed the leader
+    if under_way.kind == CLOSE_PASSING:
+        return continued_pass(view, row)
+    return _remaining_motion(view, row, under_way, memory, licence)
+
+
+def _remaining_motion(
+    view: SituationView, row: int, under_way: Commitment, memory: Commitments, licence: Licence | None
+) -> Manoeuvre | None:
+    """Return the rest of a manoeuvre's speeds and lane change; None if it has ended."""
+    intensity = memory.intensity
     if under_way.kind == "crossing":
         if _target_leads(view, row):
             return None  # the target now drives ahead of it, as its leader
@@ -106,7 +118,7 @@ def _remaining(
         limit = max(view.ways[row].lane.speed_mps, view.speed(row))
         profile = replace(profile, highest_mps=min(profile.highest_mps, limit))
     goal = _goal(view, row, under_way)
-    delay_s = max(under_way.delay_s - passed_s, 0.0)
+    delay_s = max(under_way.delay_s - (view.scene.time_s - under_way.since_s), 0.0)
     body = slow_body(view, row) if under_way.kind in SLOW_ENTRIES else None
     manoeuvre = Manoeuvre(under_way.kind, row, view.ways[row], profile, goal, delay_s=delay_s, body=body)
     if under_way.kind == "cut-in" and licence is not None:

@@ -26,6 +26,8 @@ STOPPING_KINDS = ("hard-stop", "blocked-lane", DOUBLE)
 """Kinds that end with a stop in the lane."""
 ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 """Kinds after which the attacker may stand in the target's lane."""
+CLOSE_PASSING = "close-pass"
+"""The kind of a vehicle that passes on the lane beside, see ``close_pass``."""
 SLOW_MERGE, PULL_OUT = "slow-merge", "pull-out"
 SLOW_ENTRIES = (SLOW_MERGE, PULL_OUT)
 """Kinds that enter the target's lane at much less than its speed, and drive on; see ``slow_entries``."""
@@ -80,7 +82,7 @@ _LEAD_BRAKING_MPS2, _LEAD_ACCEL_MPS2 = 1.0, 2.0
 def hard_stop(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Yield hard stops of the target's leader, and leading at a steady gap until one begins."""
     yield from _stops(view, row, "hard-stop", HARD_BRAKING_MPS2)
-    if view.target is not None and _leads(view, row) and view.is_clear_to(view.on_target_way[row][0]):
+    if view.target is not None and leads(view, row) and view.is_clear_to(view.on_target_way[row][0]):
         steady = steady_lead_profile(view, view.target, row)
         yield Manoeuvre("hard-stop", row, view.ways[row], steady, is_positioning=True)
 
@@ -104,7 +106,7 @@ def blocked_lane(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 def stop_and_go(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     """Yield manoeuvres of the target's leader that slows to walking speed and accelerates again."""
     for braking in HARD_BRAKING_MPS2[:2]:
-        if _leads(view, row):
+        if leads(view, row):
             slowing = SpeedProfile(-braking, 2.5, 1.5, 1.0, view.ways[row].lane.speed_mps)
             yield Manoeuvre("stop-and-go", row, view.ways[row], slowing)
 
@@ -186,7 +188,7 @@ def cut_out(view: SituationView, row: int) -> Iterator[Manoeuvre]:
 
 def cut_out_at(view: SituationView, row: int, reveals_s: Sequence[float]) -> Iterator[Manoeuvre]:
     """Yield each :func:`cut_out` that begins soon, *reveals_s* before *row* would reach the hidden vehicle."""
-    hidden = _hidden_ahead(view, row) if _leads(view, row) else None
+    hidden = _hidden_ahead(view, row) if leads(view, row) else None
     if hidden is None or view.speed(row) < _MIN_SPEED_MPS:
         return
     other, gap_m = hidden
@@ -241,7 +243,7 @@ def _from_edge(link: Link) -> str:
 
 def _stops(view: SituationView, row: int, kind: str, braking_mps2: tuple[float, ...]) -> Iterator[Manoeuvre]:
     """Yield stops of *row* with each of *braking_mps2*, if it leads the target and is fast enough."""
-    if _leads(view, row) and view.speed(row) > MIN_STOPPING_SPEED_MPS:
+    if leads(view, row) and view.speed(row) > MIN_STOPPING_SPEED_MPS:
         for braking in _possible_braking(view, row, braking_mps2):
             yield Manoeuvre(kind, row, view.ways[row], SpeedProfile(then_mps2=-braking))
 
@@ -252,7 +254,7 @@ def _possible_braking(view: SituationView, row: int, braking_mps2: Sequence[floa
     return list(dict.fromkeys(min(b, HEAVY_MAX_BRAKING_MPS2) if is_heavy else b for b in braking_mps2))
 
 
-def _leads(view: SituationView, row: int) -> bool:
+def leads(view: SituationView, row: int) -> bool:
     """Return whether *row* is ahead in the target's lane, on the target's way."""
     target = view.target
     if target is None:

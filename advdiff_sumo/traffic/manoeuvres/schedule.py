@@ -7,13 +7,14 @@ from dataclasses import replace
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import approaches_yield_line, is_possible
 from advdiff_sumo.traffic.manoeuvres.beginning import begin, follower_braking
+from advdiff_sumo.traffic.manoeuvres.close_pass import slow_leaders
 from advdiff_sumo.traffic.manoeuvres.commitments import SUPPORT_KINDS, Commitment, Commitments
 from advdiff_sumo.traffic.manoeuvres.company import company_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_places import insert_slow_vehicle
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
@@ -48,13 +49,17 @@ def update_manoeuvres(
     fresh = [choice.manoeuvre for choice in chosen]
     fresh += follower_braking(view, [*going, *fresh], fresh, licence)
     driven, names, now = [*going, *fresh], view.scene.history.ids, view.scene.time_s
-    has_company = DOUBLE in memory.startable_kinds(view)
-    company = company_manoeuvres(view, {m.row for m in driven}, licence) if has_company else []
-    memory = replace(memory, company=tuple(names[m.row] for m in company))
+    kinds, busy = memory.startable_kinds(view), {m.row for m in driven}
+    company = company_manoeuvres(view, busy, licence) if DOUBLE in kinds else []
+    roles = {names[m.row]: DOUBLE for m in company}
+    leaders = slow_leaders(view, busy, licence) if CLOSE_PASSING in kinds else []
+    memory = replace(memory, company={**roles, **{names[m.row]: m.kind for m in leaders}})
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     attackers_begun = {name for name, under_way in begun.items() if not under_way.is_positioning}
     standing = memory.standing.without(attackers_begun)
-    return [*driven, *company], replace(memory, active={**memory.active, **begun}, standing=standing)
+    return [*driven, *company, *leaders], replace(
+        memory, active={**memory.active, **begun}, standing=standing
+    )
 
 
 def insert_vehicles(view: SituationView, memory: Commitments) -> tuple[tuple[Newcomer, ...], Commitments]:

@@ -17,13 +17,19 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.company import company_places, insertion_places
+from advdiff_sumo.traffic.manoeuvres.close_pass import pass_sides
+from advdiff_sumo.traffic.manoeuvres.company import company_places, company_rows, insertion_places
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SLOWEST_TARGET_MPS,
     Approach,
     priority_approaches,
 )
-from advdiff_sumo.traffic.manoeuvres.repertoire import DOUBLE, HEADWAY_S, MIN_STOPPING_SPEED_MPS
+from advdiff_sumo.traffic.manoeuvres.repertoire import (
+    CLOSE_PASSING,
+    DOUBLE,
+    HEADWAY_S,
+    MIN_STOPPING_SPEED_MPS,
+)
 from advdiff_sumo.traffic.manoeuvres.situation_view import ROAD_BEYOND_M, SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, PLAN_DT_S, PLAN_STEPS
 from advdiff_sumo.traffic.manoeuvres.ways import Way, lane_at
@@ -137,6 +143,8 @@ def insert_newcomers(
     for candidates in (newcomers for kind, newcomers in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((newcomer for newcomer in candidates if _is_free(view, newcomer, taken)), room)
+    if CLOSE_PASSING in kinds:
+        taken += _leader_and_passing(view, stage)
     if DOUBLE in kinds:
         taken += _leader_and_company(view, stage)
     if "cut-out" in kinds and not taken and stage.most - stage.count >= 2:
@@ -240,6 +248,35 @@ def _leader_and_company(view: SituationView, stage: StagingMemory) -> list[Newco
         newcomer for newcomer in leaders if _is_free(view, newcomer, ()) and _is_apart(newcomer, company)
     )
     return [*islice(free_leaders, 1), *company] if most >= 0 else []
+
+
+def _leader_and_passing(view: SituationView, stage: StagingMemory) -> list[Newcomer]:
+    """Return a leader, and a vehicle that comes to pass the target on the lane beside, as far as they are missing."""
+    taken: list[Newcomer] = []
+    candidates = (*_passing(view, stage), *_leaders(view, stage)) if pass_sides(view) else ()
+    for newcomer in candidates:
+        if len(taken) < stage.most - stage.count and _is_free(view, newcomer, taken):
+            taken.append(newcomer)
+    return taken
+
+
+def _passing(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
+    """Yield a vehicle on the lane beside: behind the target or, where the lane begins later, ahead of it."""
+    target, sides = view.target, pass_sides(view)[:1]
+    if (
+        target is None
+        or target.speed_mps < MIN_STOPPING_SPEED_MPS
+        or any(company_rows(view, s) for s in sides)
+    ):
+        return
+    nearest_m = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
+    for side in sides:
+        way = view.neighbour_way(view.scene.target, side)
+        if way is not None:
+            ahead_m = -nearest_m if way.lane.s_m > nearest_m else nearest_m
+            yield from _on_way(
+                view, way, ahead_m, min(target.speed_mps, way.lane.speed_mps), stage.agent_class
+            )
 
 
 def _is_apart(newcomer: Newcomer, taken: Sequence[Newcomer]) -> bool:

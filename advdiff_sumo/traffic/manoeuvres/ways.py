@@ -26,10 +26,12 @@ class Way:
     Attributes:
         lane: the lanes, and the vehicle's place on them.
         drift_mps: lateral speed of the vehicle, positive to the left.
+        keeps_left_m: lateral place that the vehicle keeps, left of the centre line.
     """
 
     lane: LaneAhead
     drift_mps: float = 0.0
+    keeps_left_m: float = 0.0
 
     @cached_property
     def line(self) -> Polyline:
@@ -52,13 +54,14 @@ class Way:
     def poses(self, driven_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return box centres (…, T, 2) and headings (…, T) after *driven_m* (…, T) metres at *time_s* (T,).
 
-        The present lateral offset and lateral speed decay within ``_CENTRING_S`` of driving. A vehicle that moves
-        sideways faces its course.
+        The present lateral offset from ``keeps_left_m``, and the lateral speed, decay within ``_CENTRING_S`` of
+        driving. A vehicle that moves sideways faces its course.
         """
         moving_s = time_in_motion_s(driven_m, time_s)
-        left_m = settling_offsets_m(self.lane.offset_m, self.drift_mps, moving_s, _CENTRING_S)
+        off_place_m = self.lane.offset_m - self.keeps_left_m
+        left_m = self.keeps_left_m + settling_offsets_m(off_place_m, self.drift_mps, moving_s, _CENTRING_S)
         xy, lane_yaw = self.line.at(self.lane.s_m + driven_m, left_m, extrapolate=True)
-        if abs(self.drift_mps) < _MIN_DRIFT_MPS:
+        if abs(self.drift_mps) < _MIN_DRIFT_MPS and not self.keeps_left_m:
             return xy, lane_yaw
         start = self.line.at(self.lane.s_m, self.lane.offset_m)[0]
         return xy, course_headings(start, xy, driven_m, lane_yaw)

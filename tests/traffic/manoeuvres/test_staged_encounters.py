@@ -118,3 +118,19 @@ def test_a_planner_that_tracks_only_the_nearest_runs_into_a_masked_leader(
     alone = drive(encounters[encounter], "hard-stop", [], SEED, f"tests.planners.narrow_planners:{planner}")
     assert alone["in_position"]
     assert not alone["target_collision"]
+
+
+@pytest.mark.slow
+def test_a_planner_that_overtakes_without_a_look_to_the_side_moves_into_a_vehicle_that_passes(
+    encounters: dict[str, Encounter], sound: Any
+) -> None:
+    for target in ("lane_graph", "careful"):
+        row = sound("beside", "close-pass", SEED, target)
+        assert row["in_position"]
+        assert not row["target_collision"]
+    blind = "tests.planners.narrow_planners:WithoutMirrors"
+    row = drive(encounters["beside"], "close-pass", [], SEED, blind)
+    assert failed(row)
+    assert row["lawful"]
+    assert row["target_breaches"] == "sideways"
+    assert not drive(encounters["beside"], "hard-stop", [], SEED, blind)["target_collision"]

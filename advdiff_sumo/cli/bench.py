@@ -59,6 +59,9 @@ Severity = Annotated[
         help="Severity of defects given without one: weak, middle or strong.", show_default="strong"
     ),
 ]
+RetryFailed = Annotated[
+    bool, typer.Option("--retry-failed", help="Run the failed episodes of an earlier time again.")
+]
 
 
 @bench.command()
@@ -104,6 +107,7 @@ def adversarial(
     licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
+    retry_failed: RetryFailed = False,
     out: Out = None,
 ) -> None:
     """Attacks, closed loop: collisions, comfort, plausibility and speed of each policy (the paper's second table).
@@ -112,7 +116,7 @@ def adversarial(
     """
     cli_options = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
     cli_options |= {"licence": licence}
-    run_or_print("adversarial", out, workers, timeout, cli_options)
+    run_or_print("adversarial", out, workers, timeout, cli_options, retry_failed=retry_failed)
 
 
 @bench.command()
@@ -127,6 +131,7 @@ def transfer(
     licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
+    retry_failed: RetryFailed = False,
     out: Out = None,
 ) -> None:
     """Adapted to one planner, met by another (the paper's third table).
@@ -135,7 +140,7 @@ def transfer(
     """
     cli_options = {"scenes": scenes, "policies": policies, "targets": targets, "horizon_s": horizon}
     cli_options |= {"steps": steps, "licence": licence}
-    run_or_print("transfer", out, workers, timeout, cli_options)
+    run_or_print("transfer", out, workers, timeout, cli_options, retry_failed=retry_failed)
 
 
 @bench.command()
@@ -152,6 +157,7 @@ def fewshot(
     licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
+    retry_failed: RetryFailed = False,
     out: Out = None,
 ) -> None:
     """Collision rate against warm-up steps, for targets never met before (the paper's few-shot figure).
@@ -160,7 +166,7 @@ def fewshot(
     """
     cli_options = {"scenes": scenes, "targets": targets, "seeds": seeds, "horizon_s": horizon}
     cli_options |= {"steps": steps, "licence": licence}
-    run_or_print("fewshot", out, workers, timeout, cli_options)
+    run_or_print("fewshot", out, workers, timeout, cli_options, retry_failed=retry_failed)
 
 
 @bench.command()
@@ -183,6 +189,7 @@ def defects(
     licence: DefectsLicence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
+    retry_failed: RetryFailed = False,
     out: Out = None,
 ) -> None:
     """What each background is worth as a test: how many planted defects it detects, beside its false alarms.
@@ -198,7 +205,7 @@ def defects(
         "horizon_s": horizon,
         "licence": licence,
     }
-    run_or_print("defects", out, workers, timeout, cli_options)
+    run_or_print("defects", out, workers, timeout, cli_options, retry_failed=retry_failed)
 
 
 def run_or_print(
@@ -208,6 +215,7 @@ def run_or_print(
     timeout_s: float,
     cli_options: dict[str, Any],
     as_json: bool = False,
+    retry_failed: bool = False,
 ) -> None:
     """Run a bench and print its table; print only the table if the bench is finished.
 
@@ -218,6 +226,7 @@ def run_or_print(
         timeout_s: longest time for one episode.
         cli_options: of the command line; None: not given. Policies, targets and defects may be texts with commas.
         as_json: print one JSON object and nothing else; for ``defects`` only.
+        retry_failed: run the episodes that failed again, also those of a finished bench.
     """
     one_thread_for_good()
     from advdiff_sumo.experiments.bench.bench_config import Folder, open_bench, request_of
@@ -234,7 +243,7 @@ def run_or_print(
         name, path, {**DEFAULTS[name], **log_defaults}, cli_options | names | {"scenes": scenes}
     )
     _print_changed_code(Folder(path, request))
-    table = finished_table(Folder(path, request))
+    table = None if retry_failed else finished_table(Folder(path, request))
     printed: list[str] = []
     if table is None:
         check_request(request)
@@ -242,7 +251,8 @@ def run_or_print(
         with ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
             with Bars(console) as bars:
-                table, printed = run_bench(folder, workers or cores(), limits, bars), bars.said
+                table = run_bench(folder, workers or cores(), limits, bars, retry_failed)
+                printed = bars.said
     if as_json:
         from advdiff_sumo.experiments.bench.defects_object import defects_object  # late, as above
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
-from advdiff_sumo.cli.bench import FOLDER, DefectsLicence, Severity, run_or_print
+from advdiff_sumo.cli.bench import FOLDER, DefectsLicence, RetryFailed, Severity, run_or_print
 from advdiff_sumo.cli.worker_flags import Timeout, Workers
 from advdiff_sumo.config import set_dotted
 from advdiff_sumo.core.errors import ConfigError
@@ -76,6 +76,7 @@ def defects(
     assign: _Assign = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
+    retry_failed: RetryFailed = False,
     out: _Out = None,
     as_json: flags.Json = False,
 ) -> None:
@@ -100,7 +101,8 @@ def defects(
         "licence": licence,
         **_nets_and_options(net or [], assign or []),
     }
-    run_or_print("defects", out or FOLDER / f"defects-{folder_name}", workers, timeout, cli_options, as_json)
+    path = out or FOLDER / f"defects-{folder_name}"
+    run_or_print("defects", path, workers, timeout, cli_options, as_json, retry_failed)
 
 
 def _nets_and_options(nets: list[str], assignments: list[str]) -> dict[str, Any]:

@@ -135,6 +135,34 @@ def test_detections_of_a_users_own_test(scenes: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_failed_episodes_are_named_and_run_again(scenes: Path, tmp_path: Path) -> None:
+    planner = tmp_path / "mine.py"
+    planner.write_text(
+        "from advdiff_sumo.planners.lane_graph import LaneGraphPlanner\n"
+        "from pathlib import Path\n\n\n"
+        "class Mine(LaneGraphPlanner):\n"
+        "    def plan(self, road, scene, memory, rng):\n"
+        "        if not (Path(__file__).parent / 'licensed').exists():\n"
+        "            raise RuntimeError('no licence')\n"
+        "        return super().plan(road, scene, memory, rng)\n"
+    )
+    words = ("defects", "--target", "mine:Mine", "--background", "sumo", "--scenes", str(scenes))
+    more = ("--defect", "localisation:3.5", "--horizon", "5", "--workers", "1", "--out", "seen")
+    first = advdiff(*words, *more, cwd=tmp_path)
+    assert first.code == 0, first.err
+    told = " ".join(first.out.split())
+    assert "8 of sumo against mine:Mine (planner_error); run them again with --retry-failed" in told
+    (tmp_path / "licensed").touch()
+    printed = advdiff(*words, *more, cwd=tmp_path)
+    assert "run them again" in " ".join(printed.out.split())  # the table is finished
+    again = advdiff(*words, *more, "--retry-failed", cwd=tmp_path)
+    assert again.code == 0, again.err
+    assert "12 episodes in 3 cells; 8 to do" in again.out
+    assert "--retry-failed" not in again.out
+    assert _detections(tmp_path / "seen")["localisation:3.5"]["scenes"] == "4"
+
+
+@pytest.mark.slow
 def test_a_users_own_net_is_used_and_too_few_scenes_are_reported(grid: Path, tmp_path: Path) -> None:
     words = ("defects", "--net", str(grid), "--background", "scripted", "--licence", "lawful", *TINY)
     more = ("--set", "background_options.attack=hard-stop", "--workers", "1")

@@ -132,15 +132,20 @@ def made_by(path: Path) -> Mapping[str, Any]:
 
 
 def run_cells(
-    cells: BenchCells, path: Path, workers: int, limits: WorkerLimits, reporter: ProgressReporter
+    cells: BenchCells,
+    path: Path,
+    workers: int,
+    limits: WorkerLimits,
+    reporter: ProgressReporter,
+    retry_failed: bool = False,
 ) -> Store:
-    """Run the episodes that *path* lacks and return the store.
+    """Run the episodes that *path* lacks, with *retry_failed* also those that failed, and return the store.
 
     Raises:
         FileError: results cannot be stored; those of earlier episodes are.
     """
     store = open_bench_store(path, cells.plan, workers)
-    remaining = RemainingJobs.of(cells.plan, store)
+    remaining = RemainingJobs.of(cells.plan, store, retry_failed=retry_failed)
     reporter.begin("episodes", len(remaining.jobs) + remaining.done, remaining.done)
     episode_count = EpisodeCount(reporter.step)
     run_sweep(

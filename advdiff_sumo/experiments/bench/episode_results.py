@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -113,8 +114,11 @@ def _add_episode(
 
 def failures_sentence(gathered: Gathered, cells: Iterable[BenchCell]) -> str:
     """Return a sentence on failed episodes; "" if there are none."""
-    parts = []
+    counts: Counter[tuple[str, str, str]] = Counter()
     for cell in cells:
-        for kind, count in sorted(gathered.failed.get(cell, {}).items()):
-            parts.append(f"{count} of {cell.background} against {cell.target} ({kind})")
-    return f"Episodes that failed and do not count: {'; '.join(parts)}." if parts else ""
+        for kind, count in gathered.failed.get(cell, {}).items():
+            counts[cell.background, cell.target, kind] += count
+    parts = [f"{counts[key]} of {key[0]} against {key[1]} ({key[2]})" for key in sorted(counts)]
+    if not parts:
+        return ""
+    return f"Episodes that failed and do not count: {'; '.join(parts)}; run them again with --retry-failed."

@@ -90,8 +90,12 @@ def check_request(request: Request) -> None:
         resolve_fewshot_request(request)
 
 
-def run_bench(folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter) -> Table:
+def run_bench(
+    folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter, retry_failed: bool = False
+) -> Table:
     """Run the episodes that the folder lacks, and write its table in every format.
+
+    With *retry_failed* the episodes that failed are run again.
 
     Raises:
         InputError: an option of the request is unknown or impossible.
@@ -104,8 +108,11 @@ def run_bench(folder: Folder, workers: int, limits: WorkerLimits, reporter: Prog
     else:
         closed_loop = _CLOSED_LOOP[bench]
         cells = closed_loop.plan(folder, workers, limits, reporter)
-        _report_forecast(cells, folder, workers, limits, reporter)
-        store = run_cells(cells, folder.sweep, workers, limits, reporter)
+        remaining = _remaining(cells, folder, retry_failed)
+        _report_forecast(cells, remaining, folder, workers, limits, reporter)
+        for job in remaining.jobs:  # the trace of a failed episode is empty
+            (folder.traces / job.key).unlink(missing_ok=True)
+        store = run_cells(cells, folder.sweep, workers, limits, reporter, retry_failed)
         table = closed_loop.table(
             _gathered(closed_loop, cells, store, folder, workers, reporter), cells, folder
         )
@@ -126,12 +133,20 @@ def _gathered(
     return gather(cells, store, folder.traces, workers, reporter, with_likelihood=bench.traced == "all")
 
 
+def _remaining(cells: BenchCells, folder: Folder, retry_failed: bool) -> RemainingJobs:
+    store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None
+    return RemainingJobs.of(cells.plan, store, retry_failed=retry_failed)
+
+
 def _report_forecast(
-    cells: BenchCells, folder: Folder, workers: int, limits: WorkerLimits, reporter: ProgressReporter
+    cells: BenchCells,
+    remaining: RemainingJobs,
+    folder: Folder,
+    workers: int,
+    limits: WorkerLimits,
+    reporter: ProgressReporter,
 ) -> None:
     """Report the number of episodes, and how long the remaining ones will take."""
-    store = Store(folder.sweep) if (folder.sweep / SWEEP_SETTINGS).exists() else None
-    remaining = RemainingJobs.of(cells.plan, store)
     episodes = f"{counted(len(cells.plan.jobs), 'episode')} in {counted(len(cells.cells), 'cell')}"
     reporter.say(f"{episodes}; {len(remaining.jobs)} to do")
     expected = forecast(cells, remaining.jobs, folder.request.horizon_s, limits)

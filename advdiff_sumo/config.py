@@ -159,7 +159,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise FileError(path, "no such file") from None
+        raise FileError(
+            path, "no such file", "check the path; a sweep or run is described in a TOML file"
+        ) from None
     except UnicodeDecodeError:
         raise FileError(path, "not valid TOML: it is not text in UTF-8", "save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:

@@ -131,7 +131,11 @@ class Results:
             FileError: there is no episode.
         """
         if not self.finished.episodes:
-            raise FileError(self.folder, "has no episode", "give the folder of a finished run")
+            raise FileError(
+                self.folder,
+                "has no episode",
+                "give the folder of a finished run, or go on with this one by --resume",
+            )
         return EpisodeView(self.finished, worst_first(self.finished.episodes)[0])
 
     def __len__(self) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from advdiff_sumo.cli.interruption import same_command_continues
 from advdiff_sumo.cli.run import tell_changed_code
 from advdiff_sumo.cli.terminal import Bars, print_json, terminal
 from advdiff_sumo.cli.worker_flags import Timeout, Workers, cores, end_as_by_ctrl_c, limits_of
@@ -248,7 +249,7 @@ def run_or_print(
     if table is None:
         check_request(request)
         folder = open_bench(path, request)
-        with ExitStack() as stack:
+        with same_command_continues(path), ExitStack() as stack:
             limits = limits_of(stack, timeout_s)
             with Bars(console) as bars:
                 table = run_bench(folder, workers or cores(), limits, bars, retry_failed)

@@ -40,6 +40,18 @@ def explains_how_to_continue(
 
 
 @contextmanager
+def same_command_continues(folder: Path) -> Iterator[None]:
+    """Replace KeyboardInterrupt in the block by a message with the typed command, which runs what *folder* lacks.
+
+    Raises:
+        Interrupted: in place of KeyboardInterrupt.
+    """
+    typed = shlex.join(["advdiff-sumo", *sys.argv[1:]])
+    with explains_how_to_continue(lambda: typed if folder.exists() else None):
+        yield
+
+
+@contextmanager
 def training_into(folder: Path) -> Iterator[None]:
     """Replace KeyboardInterrupt in the block by a message with the typed command and ``--resume``.
 

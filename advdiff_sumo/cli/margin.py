@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from advdiff_sumo.cli import run_flags as flags
+from advdiff_sumo.cli.interruption import same_command_continues
 from advdiff_sumo.cli.terminal import print_json, terminal
 from advdiff_sumo.cli.worker_flags import (
     MEMORY_MB,
@@ -100,7 +101,7 @@ def margin(
     words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")
     console = terminal(quiet=as_json)
-    with ExitStack() as stack:
+    with same_command_continues(folder), ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         trials = stack.enter_context(MarginTrials(options, folder, limits))
         margins = _margins(console, trials, attacks, within)

@@ -52,7 +52,11 @@ class ChosenEpisode:
         """
         run = FinishedRun.read(folder)
         if episode is None and not run.episodes:
-            raise FileError(folder, "has no episode", "give the folder of a finished run")
+            raise FileError(
+                folder,
+                "has no episode",
+                "give the folder of a finished run, or go on with this one by --resume",
+            )
         row = worst_first(run.episodes)[0] if episode is None else run.row(episode)
         states = run.states(int(row["episode"]))
         if states is None:

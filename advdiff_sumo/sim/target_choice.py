@@ -26,6 +26,7 @@ class Lacking(StrEnum):
     CAR = "no car was there long enough"
     SPEED = "no car was fast enough"
     NEIGHBOURS = "no car had so many others near it"
+    CLASS = "no car was of vClass passenger, as targets are"
     ROUTE = "all routes ahead were shorter"
     SITUATION = "no car was in the situation"
 
@@ -34,6 +35,7 @@ _ADVICE = {
     Lacking.CAR: "raise scene.density_per_km or scene.warmup_s",
     Lacking.SPEED: "lower scene.min_speed_mps",
     Lacking.NEIGHBOURS: "raise scene.density_per_km or scene.warmup_s, or lower scene.min_neighbours",
+    Lacking.CLASS: "give cars a vType of vClass passenger",
     Lacking.ROUTE: "lower scene.min_route_m, or give a larger net",
     Lacking.SITUATION: "choose another scene.situation, or raise scene.density_per_km",
 }
@@ -100,12 +102,19 @@ class TargetChoice:
         with_neighbours = fast_cars[
             (distances < _NEIGHBOUR_RADIUS_M).sum(-1) - 1 >= self.scene.min_neighbours
         ]
-        with_route = [row for row in with_neighbours.tolist() if self._has_route(api, world, row)]
+        passenger_cars = [
+            row
+            for row in with_neighbours.tolist()
+            if api.vehicle.getVehicleClass(world.ids[row]) == "passenger"
+        ]
+        with_route = [row for row in passenger_cars if self._has_route(api, world, row)]
         signals = {
             name: api.trafficlight.getRedYellowGreenState(name) for name in api.trafficlight.getIDList()
         }
         usable = [row for row in with_route if self._is_in_situation(api, world, frame, row, signals)]
-        stages = zip(Lacking, (cars, fast_cars, with_neighbours, with_route, usable), strict=True)
+        stages = zip(
+            Lacking, (cars, fast_cars, with_neighbours, passenger_cars, with_route, usable), strict=True
+        )
         return usable, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
 
     def _is_in_situation(
@@ -121,7 +130,7 @@ class TargetChoice:
         if lane not in road.lanes or road.lanes[lane].is_internal:
             return False
         name = world.ids[row]
-        if api.vehicle.getVehicleClass(name) != "passenger" or api.vehicle.getStops(name):
+        if api.vehicle.getStops(name):
             return False
         route = remaining_route(api, name, road.beyond_rim)
         length_m = sum(road.edges[edge].length_m for edge in route)

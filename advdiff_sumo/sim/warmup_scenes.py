@@ -77,7 +77,7 @@ class NaturalTraffic:
             try:
                 return self._run(number, seed, files, Path(folder), wanted or self.scene.scenes_per_warmup)
             except SimulationError as error:
-                problem = f"no natural traffic could be made: {error}{self._remedy(error)}"
+                problem = f"no natural traffic could be made: {str(error).rstrip('.')}{self._remedy(error)}"
                 raise SceneError(f"{self._culprit(error)}: {problem}") from error
 
     def _culprit(self, error: SimulationError) -> Path:

@@ -217,3 +217,34 @@ def test_ctrl_c_in_a_dry_run_keeps_nothing(grid: Path, tmp_path: Path) -> None:
     running = begin("sweep", "long.toml", "--dry-run", cwd=folder)
     said = _interrupted_while_it_plans(running, folder)
     assert (running.returncode, said.splitlines()) == (130, ["interrupted; a dry run keeps nothing"])
+
+
+def test_ctrl_c_in_a_bench_names_the_command_that_continues(grid: Path, tmp_path: Path) -> None:
+    folder = _place(grid, tmp_path)
+    (folder / "endless.py").write_text(ENDLESS)
+    words = (
+        "defects",
+        "--target",
+        "endless:Endless",
+        "--net",
+        "grid.net.xml",
+        "--defect",
+        "late",
+        "--scenes",
+        "5",
+    )
+    scene = (
+        "--set",
+        "scene.warmup_s=10",
+        "--set",
+        "scene.min_neighbours=1",
+        "--horizon",
+        "4",
+        "--workers",
+        "1",
+    )
+    running = begin(*words, *scene, "--out", "seen", cwd=folder)
+    said = _interrupted_while_it_plans(running, folder)
+    assert running.returncode == 130
+    command = "advdiff-sumo " + " ".join((*words, *scene, "--out", "seen"))
+    assert said.splitlines()[-1] == f"{KEPT}; go on with {command}"

@@ -159,8 +159,13 @@ def test_a_net_that_a_configuration_names_in_vain(tmp_path: Path) -> None:
         ),
         (cars(0, 3), {"warmup_s": 100.0}, "no car was there .*goes on for longer, or lower scene.warmup_s"),
         (cars(0, 300), {"min_neighbours": 90}, "so many others near it.* lower scene.min_neighbours"),
+        (
+            cars(0, 300, 'type="cab"').replace("<routes>", '<routes><vType id="cab" vClass="taxi"/>'),
+            {},
+            "no car was of vClass passenger, as targets are .*: give cars a vType of vClass passenger",
+        ),
     ],
-    ids=["short routes", "over before", "alone"],
+    ids=["short routes", "over before", "alone", "taxis"],
 )
 def test_demand_that_gives_no_target_is_named_with_what_it_lacks(
     road: RoadMap, tmp_path: Path, content: str, options: dict[str, float], says: str

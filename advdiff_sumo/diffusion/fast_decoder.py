@@ -61,8 +61,8 @@ class FastDecoder:
 
     def _surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
         """Return the surroundings of *rows* (None: all) of *batch*, from a cache of the last two."""
-        for known, some, around in self._around:
-            if known is batch and some is rows:
+        for cached_batch, cached_rows, around in self._around:
+            if cached_batch is batch and cached_rows is rows:
                 return around
         around = self.network.surroundings(batch, rows)
         self._around = [*self._around[-1:], (batch, rows, around)]

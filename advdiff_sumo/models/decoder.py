@@ -82,12 +82,12 @@ class Forced:
 
     def put(self, k: int, state: State) -> State:
         """Return *state* with the given states of instant *k* in place of the computed ones."""
-        given, mask = self.states[:, :, k], self.mask[:, :, k]
+        states, mask = self.states[:, :, k], self.mask[:, :, k]
         xy, yaw, speed, *action = state
         return (
-            torch.where(mask[..., None], given[..., :2], xy),
-            torch.where(mask, given[..., 2], yaw),
-            torch.where(mask, given[..., 3], speed),
+            torch.where(mask[..., None], states[..., :2], xy),
+            torch.where(mask, states[..., 2], yaw),
+            torch.where(mask, states[..., 3], speed),
             action[0],
             action[1],
         )
@@ -152,9 +152,11 @@ class Decoder(nn.Module):
 
         States and messages of all other agents are those of *trace*; None: the rows are all agents.
         """
-        states, begun, said = self._roll(z, h, around, steps, forced, trace, by)
-        motions = [torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in begun]
-        return rollout_of(states), Trace(torch.stack(motions), torch.stack(said))
+        states, all_motions, messages = self._roll(z, h, around, steps, forced, trace, by)
+        motions = [
+            torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in all_motions
+        ]
+        return rollout_of(states), Trace(torch.stack(motions), torch.stack(messages))
 
     def _roll(
         self,
@@ -171,16 +173,16 @@ class Decoder(nn.Module):
         advance, rows = by or own or self.step, around.rows
         memory = self.begin(z, h)
         motion = motion_now(around.own)
-        states, begun, said = list[State](), list[Motion](), list[Tensor]()
+        states, all_motions, messages = list[State](), list[Motion](), list[Tensor]()
         for k in range(steps):
             everybody = motion if trace is None else self._among(trace.motion[k], rows, motion)
             others = None if trace is None else trace.senders[k]
             state, memory, senders = advance(memory, z, around, motion, everybody, others)
-            begun.append(everybody)
-            said.append(senders)
+            all_motions.append(everybody)
+            messages.append(senders)
             states.append(state if forced is None else forced.put(k, state))
             motion = states[-1][:3]
-        return states, begun, said
+        return states, all_motions, messages
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
         """Return the constant inputs of a rollout of agents *rows* (R,) of *batch*; None: of all."""
@@ -246,14 +248,14 @@ class Decoder(nn.Module):
             others: (layers, B, A, M) messages of agents that are not rolled out; None: all agents are.
             among: selects, from values of all agents (B, A, …), those of each row's senders, (B, R or 1, K, …).
         """
-        said, mask = [], among(around.batch.present)
+        messages, mask = [], among(around.batch.present)
         for number, (layer, edge) in enumerate(zip(self.interaction.in_order(), edges, strict=True)):
             sent = layer.sender(h)
             if others is not None:
                 sent = others[number].to(sent.dtype).index_copy(1, around.rows, sent)
-            said.append(sent)
+            messages.append(sent)
             h = layer.receive(h, edge, among(sent), mask) * around.own.present[..., None]
-        return h, torch.stack(said)
+        return h, torch.stack(messages)
 
     def _drive(
         self, mixed: Tensor, memory: Tensor, motion: Motion, batch: SceneBatch

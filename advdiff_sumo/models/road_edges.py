@@ -88,13 +88,13 @@ class RoadEdges:
 def road_edges(batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
     """Return ends (B, A, S, 2) of the road edges' segments in each agent's frame, and which are real (B, A, S)."""
     is_edge = batch.map_valid & (batch.map_features[..., _ROAD_EDGE] > 0.5)
-    some: slice | Tensor
+    selected: slice | Tensor
     if is_edge.is_cuda:  # on a GPU, finding empty pieces takes longer than computing with them
-        some = slice(LANES_OF[is_edge.shape[-1]], None)
+        selected = slice(LANES_OF[is_edge.shape[-1]], None)
     else:
-        some = is_edge.flatten(0, 1).any(0)
-        some[0] |= ~some.any()  # keep at least one piece, although it is not usable
-    pieces, is_edge = batch.map_xy[:, :, some], is_edge[:, :, some]
+        selected = is_edge.flatten(0, 1).any(0)
+        selected[0] |= ~selected.any()  # keep at least one piece, although it is not usable
+    pieces, is_edge = batch.map_xy[:, :, selected], is_edge[:, :, selected]
     first, last = pieces[..., :-1, :].flatten(2, 3), pieces[..., 1:, :].flatten(2, 3)
     usable = is_edge[..., None].expand(*is_edge.shape, pieces.shape[3] - 1).flatten(2)
     return first, last, usable

@@ -70,10 +70,14 @@ def _min_merit(merits: Sequence[tuple[float, float]], now_s: float) -> float:
 
 
 def _go_together(first: Manoeuvre, second: Manoeuvre) -> bool:
-    """Return whether both can be driven: two crossings would collide, and a leader would stop the target before one."""
-    if first.row == second.row or first.kind == second.kind == "crossing":
+    """Return whether both can be driven.
+
+    Two crossings would collide, two leaders run into each other, and a leader would stop the target before a crossing.
+    """
+    kinds = {first.kind, second.kind}
+    if first.row == second.row or kinds == {"crossing"} or kinds <= LEADER_KINDS:
         return False
-    return "crossing" not in (first.kind, second.kind) or not {first.kind, second.kind} & LEADER_KINDS
+    return "crossing" not in kinds or not kinds & LEADER_KINDS
 
 
 def _follower_can_stop(view: SituationView, chosen: Chosen) -> bool:

@@ -11,10 +11,12 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.manoeuvres.choice import rank
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.required_braking import INSUFFICIENT_MPS2, needed_braking
+from advdiff_sumo.traffic.manoeuvres.schedule import update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on, view_of
@@ -109,6 +111,17 @@ def test_the_hardest_manoeuvre_that_braking_avoids_is_chosen(motorway: RoadMap) 
     best = rank(view, proposals, dict.fromkeys(KINDS, 1.0))[0]
     assert best.manoeuvre.kind == "hard-stop"
     assert 5.0 <= best.needed_mps2 <= 7.0
+
+
+def test_of_two_vehicles_ahead_only_one_stops(motorway: RoadMap) -> None:
+    """9.5 m apart at 20 m/s; with 6 and 7.5 m/s² the rear one would run into the other."""
+    cars = {"target": (0, 100.0, 20.0), "near": (0, 128.0, 20.0), "far": (0, 142.0, 20.0)}
+    memory = Commitments.start("hard-stop", np.random.default_rng(0))
+    _, memory = update_manoeuvres(view_of(motorway, 27.0, **cars), memory, 2, 8.0)
+    driven, memory = update_manoeuvres(view_of(motorway, 30.0, **cars), memory, 2, 8.0)
+    assert [(m.row, m.is_positioning) for m in driven] == [(1, False)]
+    driven, _ = update_manoeuvres(view_of(motorway, 30.5, **cars), memory, 2, 8.0)
+    assert [m.row for m in driven] == [1]
 
 
 def test_a_follower_proposes_no_manoeuvre(motorway: RoadMap) -> None:

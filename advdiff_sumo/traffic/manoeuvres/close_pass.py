@@ -30,10 +30,8 @@ PASSES_MPS = 1.0
 LINE_M, CLEARANCE_M = 0.15, 0.7
 """Distance that the passing box keeps to the line, and to the target's box across its lane."""
 _MIN_CLEARANCE_M = 0.5  # with less room nobody passes
-_BEGINS_M, _ENDS_M = (
-    4.0,
-    2.0,
-)  # bumper gap at which the pass begins; gap beyond the target at which it is over
+_BEGINS_M, _ENDS_M = 4.0, 2.0
+"""Bumper gap at which the pass begins; gap beyond the target at which it is over."""
 _CLOSING_PER_S, _MAX_CLOSING_MPS = 0.4, 5.0  # speed difference per metre, before the pass
 _ADAPTS_S, _ACCEL_MPS2 = 0.8, 2.0
 _LEADER_SHARES, _LEADER_BRAKING_MPS2 = (0.8, 0.5), 1.5
@@ -48,7 +46,7 @@ def close_pass(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     if row not in _candidates(view):
         return
     passing = _passing(view, target, row)
-    if passing is not None and not _is_passed(view, target, row):
+    if passing is not None and not _is_passed(view, target, row) and not _lets_in(view, row):
         is_far = _bumper_gap_m(view, row) > _BEGINS_M
         yield replace(passing, is_positioning=is_far)
 
@@ -58,8 +56,7 @@ def continued_pass(view: SituationView, row: int) -> Manoeuvre | None:
     target = view.target
     if target is None or row not in (*company_rows(view, "left"), *company_rows(view, "right")):
         return None
-    is_behind = local_position(view, row)[0] < 0.0 < _bumper_gap_m(view, row)
-    if _is_passed(view, target, row) or (is_behind and target_entering(view) is not None):
+    if _is_passed(view, target, row) or _lets_in(view, row):
         return None
     return _passing(view, target, row)
 
@@ -113,7 +110,8 @@ def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | No
 def _lateral_place_m(view: SituationView, row: int) -> float | None:
     """Return the place left of its lane's centre line at which *row* passes; None if the target leaves no room."""
     way, width_m = view.ways[row], float(view.size(row)[1])
-    target_left_m = view.position_on(way, view.scene.target)[1]
+    target_xy = view.scene.history.xy_m[view.scene.target, -1]
+    target_left_m = float(way.line.project(target_xy, extrapolate=True)[1])  # it may be before the first lane
     room_m = abs(target_left_m) - 0.5 * (width_m + float(view.size(view.scene.target)[1]))
     reach_m = max(0.5 * (way.present_lane.width_m - width_m) - LINE_M, 0.0)
     if room_m + reach_m < _MIN_CLEARANCE_M:
@@ -130,3 +128,11 @@ def _is_passed(view: SituationView, target: TargetWay, row: int) -> bool:
     """Return whether *row* is beyond the target and drives away from it, as the faster or the slower one."""
     away_mps = np.sign(local_position(view, row)[0]) * (view.speed(row) - target.speed_mps)
     return bool(_bumper_gap_m(view, row) > _ENDS_M and away_mps > 0.0)
+
+
+def _lets_in(view: SituationView, row: int) -> bool:
+    """Return whether *row* is behind the target, which is changing to its lane."""
+    target, (ahead_m, left_m) = view.target, local_position(view, row)
+    if target is None or target_entering(view) is None or left_m * target.way.drift_mps < 0.0:
+        return False
+    return ahead_m < 0.0 < _bumper_gap_m(view, row)

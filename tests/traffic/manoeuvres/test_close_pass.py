@@ -104,6 +104,33 @@ def test_it_ends_beyond_the_target_and_where_the_target_enters_the_lane_ahead(mo
     assert continued_pass(shifted(behind, 0, 0.8, 0.8), 1) is None
     assert continued_pass(shifted(level, 0, 0.8, 0.8), 1) is not None  # too late to let it in
     assert continued_pass(shifted(behind, 0, 0.8), 1) is not None
+    between = view_of(motorway, target=(1, 100.0, 20.0), other=(2, 94.0, 21.0))
+    assert continued_pass(shifted(between, 0, 0.8, 0.8), 1) is None
+    assert continued_pass(shifted(between, 0, -0.8, -0.8), 1) is not None  # it changes to the other side
+
+
+@pytest.mark.parametrize("ahead_m", [-16.0, -7.0])
+def test_nobody_comes_alongside_while_the_target_changes_to_that_lane(
+    motorway: RoadMap, ahead_m: float
+) -> None:
+    view = view_of(motorway, **TARGET, **beside(ahead_m, 21.0))
+    assert not list(close_pass(shifted(view, 0, 0.8, 0.8), 1))
+    assert list(close_pass(shifted(view, 0, 0.8), 1))  # it is off its centre line, but changes no lane
+
+
+def test_the_place_counts_from_the_target_also_where_a_new_road_begins_between_them(tmp_path: Path) -> None:
+    """The target, over the line by 0.55 m, is still before the road on which the other is: it keeps its distance."""
+    nodes = "".join(f'<node id="{name}" x="{x}" y="0"/>' for name, x in (("W", 0), ("M", 300), ("E", 600)))
+    lanes = 'numLanes="2" speed="25" width="3.5"'
+    edges = f'<edge id="WM" from="W" to="M" {lanes}/><edge id="ME" from="M" to="E" {lanes}/>'
+    road = RoadMap.read(build(tmp_path, f"<nodes>{nodes}</nodes>", f"<edges>{edges}</edges>"))
+    before, beyond = road.lanes["WM_0"], road.lanes["ME_1"]
+    cars = {"target": (before, before.length_m - 1.5, 20.0), "other": (beyond, 1.0, 21.0)}
+    scene = replace(scene_on(cars), routes=(("WM", "ME"), ("ME",)))
+    view = shifted(SituationView.of(road, scene), 0, 1.4)
+    passing = continued_pass(view, 1)
+    assert passing is not None
+    assert passing.way.keeps_left_m == pytest.approx(0.4, abs=1e-3)
 
 
 def test_the_nearest_vehicle_on_the_overtaking_side_passes(motorway: RoadMap, tmp_path: Path) -> None:

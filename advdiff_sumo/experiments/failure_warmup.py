@@ -18,6 +18,7 @@ from advdiff_sumo.sim.run_episodes import Run, RunOptions
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions
 from advdiff_sumo.traffic.diffusion.diffusion_policy import DiffusionTraffic
+from advdiff_sumo.traffic.manoeuvres.commitments import UNPREDICTED_KINDS
 from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, is_probed
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
@@ -84,7 +85,7 @@ def meet(
             stages the encounters that the predictor prefers by then.
 
     Raises:
-        ConfigError: the background has no encounters.
+        ConfigError: the background has no encounters, or nothing is learned of its attack.
         EpisodeFailure: planner or background fail before their first plan in several episodes in a row.
     """
     run = Run.prepare(options)
@@ -93,6 +94,9 @@ def meet(
         raise ConfigError("a lawful warm-up is for background 'scripted' or 'diffusion' under a licence")
     if isinstance(policy, DiffusionTraffic) and not policy.options.guided:
         raise ConfigError("warm-up is for traffic that attacks: give a guide, and a strength above 0")
+    if policy.options.attack in UNPREDICTED_KINDS:
+        kinds = ", ".join(KINDS)
+        raise ConfigError(f"a warm-up learns nothing of --attack {policy.options.attack}; give any, {kinds}")
     log = EncounterLog(policy)
     run = replace(run, policy=log)
     features, encounter_outcomes = np.zeros((0, len(FEATURES))), np.zeros(0)
@@ -156,7 +160,7 @@ def warm_up_failures(options: RunOptions, plans: int, on_progress: Callable[[int
         on_progress: called with the number of plans after each episode.
 
     Raises:
-        ConfigError: the background has no encounters.
+        ConfigError: the background has no encounters, or nothing is learned of its attack.
         EpisodeFailure: planner or background fail before their first plan in several episodes in a row.
     """
     defaults = {"horizon_s": EPISODE_S, "scene": SCENE}

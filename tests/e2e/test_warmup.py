@@ -98,6 +98,7 @@ def test_files_of_the_other_kind_of_warm_up(tmp_path: Path) -> None:
         (("--background", "sumo"), "a lawful warm-up is for background 'scripted' or 'diffusion'"),
         (("--background", "scripted", "--strength", "0.5"), "no option 'strength'"),
         (("--defect", "lat"), "did you mean 'late'?"),
+        (("--attack", "close-pass"), "learns nothing of --attack close-pass; give any, hard-stop, cut-in,"),
     ],
 )
 def test_an_impossible_warm_up_is_refused(tmp_path: Path, words: tuple[str, ...], said: str) -> None:

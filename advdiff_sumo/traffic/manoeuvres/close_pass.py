@@ -43,10 +43,8 @@ def close_pass(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     target = view.target
     if target is None or min(target.speed_mps, view.speed(row)) < MIN_STOPPING_SPEED_MPS:
         return
-    if row not in _candidates(view):
-        return
-    passing = _passing(view, target, row)
-    if passing is not None and not _is_passed(view, target, row) and not _lets_in(view, row):
+    passing = _passing(view, target, row) if row in passing_rows(view) else None
+    if passing is not None and not _lets_in(view, row):
         is_far = _bumper_gap_m(view, row) > _BEGINS_M
         yield replace(passing, is_positioning=is_far)
 
@@ -77,7 +75,7 @@ def slow_leaders(
     if not ahead or row in busy or not view.is_clear_to(distance_m) or not pass_sides(view):
         return []
     way, speed = view.ways[row], view.speed(row)
-    share = _LEADER_SHARES[any(_bumper_gap_m(view, passing) < _BEGINS_M for passing in _candidates(view))]
+    share = _LEADER_SHARES[any(_bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
     slow_mps = max(share * way.lane.speed_mps, MIN_STOPPING_SPEED_MPS)
     accel = float(np.clip((slow_mps - speed) / _ADAPTS_S, -_LEADER_BRAKING_MPS2, _ACCEL_MPS2))
     profile = SpeedProfile(accel, np.inf, 0.0, min(slow_mps, speed), max(slow_mps, speed))
@@ -86,9 +84,14 @@ def slow_leaders(
     return [leader] if lawful_mask(view, [leader], futures, licence)[0] else []
 
 
-def _candidates(view: SituationView) -> Sequence[int]:
-    """Return the row nearest to the target on the first of its ``pass_sides``, if there is one."""
-    return [row for side in pass_sides(view)[:1] for row in company_rows(view, side)[:1]]
+def passing_rows(view: SituationView) -> Sequence[int]:
+    """Return the row next to the target on the first of its ``pass_sides`` that does not drive away from it, or ()."""
+    target, sides = view.target, pass_sides(view)[:1]
+    if target is None:
+        return ()
+    return [row for side in sides for row in company_rows(view, side) if not _is_passed(view, target, row)][
+        :1
+    ]
 
 
 def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | None:

@@ -22,6 +22,8 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraf
 
 ANY_KINDS = tuple(KINDS)
 """Kinds in an episode of "any"; if ``SLOW_ENTRIES`` are added here, these get turns, too."""
+UNPREDICTED_KINDS = (QUEUE, DOUBLE, CLOSE_PASSING, *SLOW_ENTRIES)
+"""Kinds for which no failures are predicted, so that a warm-up learns nothing of them."""
 SUPPORT_KINDS = (FOLLOWS, WAITS)
 """Kinds that do not attack."""
 LEADER_KINDS = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
@@ -169,8 +171,8 @@ class Commitments:
             staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
         )
         agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
-        if preference is not None and attack in (QUEUE, DOUBLE, CLOSE_PASSING, *SLOW_ENTRIES):
-            preference = None  # nothing is predicted for it
+        if preference is not None and attack in UNPREDICTED_KINDS:
+            preference = None
         elif preference is not None and attack != "any":
             preference = replace(preference, kinds=(kind,))
         elif preference is not None:

@@ -17,8 +17,8 @@ from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.signal_letters import PLAIN_YELLOW, RED
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
-from advdiff_sumo.traffic.manoeuvres.close_pass import pass_sides
-from advdiff_sumo.traffic.manoeuvres.company import company_places, company_rows, insertion_places
+from advdiff_sumo.traffic.manoeuvres.close_pass import pass_sides, passing_rows
+from advdiff_sumo.traffic.manoeuvres.company import company_places, insertion_places
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SLOWEST_TARGET_MPS,
     Approach,
@@ -262,15 +262,11 @@ def _leader_and_passing(view: SituationView, stage: StagingMemory) -> list[Newco
 
 def _passing(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Yield a vehicle on the lane beside: behind the target or, where the lane begins later, ahead of it."""
-    target, sides = view.target, pass_sides(view)[:1]
-    if (
-        target is None
-        or target.speed_mps < MIN_STOPPING_SPEED_MPS
-        or any(company_rows(view, s) for s in sides)
-    ):
+    target = view.target
+    if target is None or target.speed_mps < MIN_STOPPING_SPEED_MPS or passing_rows(view):
         return
     nearest_m = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
-    for side in sides:
+    for side in pass_sides(view)[:1]:
         way = view.neighbour_way(view.scene.target, side)
         if way is not None:
             ahead_m = -nearest_m if way.lane.s_m > nearest_m else nearest_m

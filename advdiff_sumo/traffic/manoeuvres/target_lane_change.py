@@ -16,7 +16,10 @@ _UNDER_WAY_MPS, _UNDER_WAY_M = 0.4, 0.4  # least lateral speed and offset, both 
 
 
 def target_entering(view: SituationView) -> TargetWay | None:
-    """Return the target on the lane beside that it is changing to, as its lateral motion shows; None if to none."""
+    """Return the target on the lane beside that it is changing to, as its lateral motion shows; None if to none.
+
+    On a junction it is None: the lanes there have no neighbours.
+    """
     target = view.target
     if target is None:
         return None

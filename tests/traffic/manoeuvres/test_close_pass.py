@@ -138,6 +138,9 @@ def test_the_nearest_vehicle_on_the_overtaking_side_passes(motorway: RoadMap, tm
     view = view_of(motorway, target=(1, 100.0, 20.0), **cars)
     assert pass_sides(view) == ["left", "right"]
     assert [bool(list(close_pass(view, row))) for row in (1, 2, 3)] == [True, False, False]
+    cars["left"] = (2, 108.0, 24.0)  # it has passed
+    view = view_of(motorway, target=(1, 100.0, 20.0), **cars)
+    assert [bool(list(close_pass(view, row))) for row in (1, 2, 3)] == [False, True, False]
     nodes = '<nodes><node id="W" x="0" y="0"/><node id="E" x="600" y="0"/></nodes>'
     edges = '<edges><edge id="WE" from="W" to="E" numLanes="3" speed="25"/></edges>'
     lefthand = RoadMap.read(build(tmp_path, nodes, edges, lefthand=True))

@@ -40,6 +40,8 @@ from advdiff_sumo.cli.warmup import warmup
 from advdiff_sumo.core.errors import INTERRUPTED, KEPT, AdvdiffError
 
 INPUT_ERROR = 2
+#: Words with which pydantic, which checks typer's options, begins a message in the middle of typer's sentence.
+_PLAIN_WORDS = {": Value error, ": ": ", ": Input should": ": input should"}
 
 app = typer.Typer(
     name="advdiff-sumo",
@@ -150,6 +152,8 @@ def _refuse(sentence: str) -> NoReturn:
 def _usage_error(error: typer.TyperException) -> str:
     """Return what is wrong with the command line, and which help to read; "" if typer has printed the help already."""
     problem = error.format_message().strip().rstrip(".")
+    for of_pydantic, plain in _PLAIN_WORDS.items():
+        problem = problem.replace(of_pydantic, plain)
     context = getattr(error, "ctx", None)
     command = context.command_path if context else app.info.name
     return f"{problem[0].lower()}{problem[1:]} (see {command} --help)" if problem else ""

@@ -94,6 +94,7 @@ def margin(
     from advdiff_sumo.sim.free_folder import named_folder
 
     attacks = _attacks(attack, by, within)
+    _check_assignments(assign or [], attacks)
     cli_options: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
     cli_options |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
     options = options_given(config, cli_options, {"attackers": 1}, assign or [], defect)
@@ -146,6 +147,24 @@ def _attacks(attack: str, by: str | None, within: float | None) -> list[tuple[st
         if value is not None:
             raise ConfigError(f"{option} goes with one attack; leave it out, or choose an --attack")
     return [(name, scale) for name, scales in SCALES.items() for scale in scales]
+
+
+def _check_assignments(assignments: Sequence[str], attacks: Sequence[tuple[str, Scale]]) -> None:
+    """Check that no ``--set`` gives an option that the search sets itself, as it would have no effect.
+
+    Raises:
+        ConfigError: one does.
+    """
+    remedies = {
+        f"background_options.{scale.option}": "the search varies it; leave it out" for _, scale in attacks
+    }
+    remedies["background_options.attack"] = "name the attack with --attack"
+    remedies["background"] = "a margin is that of background scripted; leave it out"
+    remedies["episodes"] = "a margin is that of one seed scene; leave it out"
+    for assignment in assignments:
+        name = assignment.partition("=")[0].strip()
+        if name in remedies:
+            raise ConfigError(f"--set {assignment}: {remedies[name]}")
 
 
 def _margins(

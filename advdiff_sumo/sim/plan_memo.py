@@ -134,7 +134,7 @@ class PlanSource:
         answer: Any = self.policy.plan(road, scene_copy, self.memory, rng)
         wall_s, cpu_s = time.perf_counter() - started_s, time.process_time() - cpu_started_s
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], JointPlan)):
-            raise PlanRefusedError(f"{owner} returned {type(answer).__name__}, not (JointPlan, memory)")
+            raise PlanRefusedError(f"{owner} returned {_type_text(answer)}, not (JointPlan, memory)")
         plan, self.memory = answer
         if self.memo is not None:
             self.memo.made.keep(
@@ -171,3 +171,10 @@ def _tracks_bytes(tracks: Tracks) -> Iterable[bytes]:
 
 def _rng_bytes(rng: np.random.Generator) -> bytes:
     return repr(rng.bit_generator.state).encode()
+
+
+def _type_text(answer: object) -> str:
+    """Return the name of the type of *answer*; of a tuple, those of its members."""
+    if isinstance(answer, tuple):
+        return f"({', '.join(type(member).__name__ for member in answer)})"
+    return type(answer).__name__

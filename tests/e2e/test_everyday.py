@@ -167,7 +167,12 @@ def test_lists(here: Callable[..., Outcome], kind: str, names: set[str]) -> None
 
 
 def test_a_list_of_nothing(here: Callable[..., Outcome]) -> None:
-    assert "'planets' is not one of" in sentence(here("list", "planets"))
+    assert "invalid value for 'kind': 'planets' is not one of" in sentence(here("list", "planets"))
+
+
+def test_an_option_out_of_its_range(here: Callable[..., Outcome]) -> None:
+    said = sentence(here("margin", "--within", "0"))
+    assert "invalid value for '--within': input should be greater than or equal to 0.01 (see " in said
 
 
 def test_logs_go_to_standard_error(workplace: Path) -> None:

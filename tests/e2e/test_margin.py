@@ -47,6 +47,13 @@ class Raises:
         (("--by", "gap"), "--by gap: hard-stop is as severe as its braking; choose that"),
         (("--attack", "all", "--by", "gap"), "--by goes with one attack; leave it out"),
         (("--attack", "all", "--within", "1"), "--within goes with one attack; leave it out"),
+        (("--set", "background_options.attack=cut-in"), "attack=cut-in: name the attack with --attack"),
+        (
+            ("--set", "background_options.braking_mps2=3"),
+            "braking_mps2=3: the search varies it; leave it out",
+        ),
+        (("--set", "background=sumo"), "--set background=sumo: a margin is that of background scripted"),
+        (("--set", "episodes=3"), "--set episodes=3: a margin is that of one seed scene; leave it out"),
     ],
 )
 def test_what_has_no_severity_is_refused(words: tuple[str, ...], message: str, tmp_path: Path) -> None:

@@ -149,3 +149,20 @@ def test_random_numbers_go_on_where_the_plan_left_them(scene: SeedScene, road: R
         ends.append((source.memory, int(rng.integers(2**62)), source.spared_cpu_s > 0.0))
     assert ends[0][:2] == ends[1][:2]
     assert [end[2] for end in ends] == [False, True]
+
+
+class Nothing:
+    """A policy that returns no plan."""
+
+    def start(self, *_: object) -> None:
+        return None
+
+    def plan(self, *_: object) -> tuple[None, int]:
+        return None, 1
+
+
+def test_what_is_no_plan_is_told_by_its_types(scene: SeedScene, road: RoadMap) -> None:
+    policy: Any = Nothing()
+    record, _ = episode(scene, road, make_target("lane_graph", SOUND), policy, 1.0).run()
+    assert record.failure is not None
+    assert "returned (NoneType, int), not (JointPlan, memory)" in record.failure.message

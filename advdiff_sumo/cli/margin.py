@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from advdiff_sumo.experiments.margin import Scale, Trial
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
+    from advdiff_sumo.sim.run_episodes import RunOptions
 
 _FAILED = 1
 _QUANTITIES = dict.fromkeys(scale.by for scales in SCALES.values() for scale in scales)
@@ -97,7 +98,9 @@ def margin(
     _check_assignments(assign or [], attacks)
     cli_options: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
     cli_options |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
-    options = options_given(config, cli_options, {"attackers": 1}, assign or [], defect)
+    options = _without_varied(
+        options_given(config, cli_options, {"attackers": 1}, assign or [], defect), attacks
+    )
     planted = options.target_options.get("defects", ())
     words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")
@@ -165,6 +168,13 @@ def _check_assignments(assignments: Sequence[str], attacks: Sequence[tuple[str, 
         name = assignment.partition("=")[0].strip()
         if name in remedies:
             raise ConfigError(f"--set {assignment}: {remedies[name]}")
+
+
+def _without_varied(options: RunOptions, attacks: Sequence[tuple[str, Scale]]) -> RunOptions:
+    """Return *options* without the kind and the severity of an attack, which a run's own file may hold."""
+    varied = {"attack", *(scale.option for _, scale in attacks)}
+    kept = {name: value for name, value in options.background_options.items() if name not in varied}
+    return options.model_copy(update={"background_options": kept})
 
 
 def _margins(

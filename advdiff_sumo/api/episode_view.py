@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.report.folder import FinishedRun
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ _REPR_COLUMNS = (
     "failure_kind",
     "failure_message",
 )
+_MOST_PANELS = 8
 
 
 @dataclass(frozen=True)
@@ -62,17 +64,19 @@ class EpisodeView:
         """Return *panels* moments side by side as a figure of matplotlib.
 
         Args:
-            panels: how many.
+            panels: how many, 1 to 8.
             start_s: first moment; by default 6 s before the last.
             end_s: last moment; by default the contact, or 1 s after the smallest distance.
 
         Raises:
             FileError: there are no states of the episode.
-            ConfigError: the time span is not in the episode.
+            ConfigError: the number of panels is out of range, or the time span is not in the episode.
         """
         from advdiff_sumo.report.selection import ChosenEpisode
         from advdiff_sumo.report.strip import STRIP_S, draw_strip
 
+        if not 1 <= panels <= _MOST_PANELS:
+            raise ConfigError(f"panels={panels}: give a number from 1 to {_MOST_PANELS}")
         chosen = ChosenEpisode.read(self.run.folder, self.number)
         start, end = chosen.span_s(start_s, end_s, STRIP_S)
         return draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start)

@@ -75,6 +75,9 @@ def test_display_of_results(results: ads.Results) -> None:
     episode = again.episode(1)
     assert episode.number == 1
     assert len(episode.figure(panels=3).axes) == 3
+    for panels in (0, 9):
+        with pytest.raises(ConfigError, match=f"panels={panels}: give a number from 1 to 8"):
+            episode.figure(panels=panels)
     player = episode.player()._repr_html_()
     assert player.startswith("<iframe")
     assert "srcdoc=" in player

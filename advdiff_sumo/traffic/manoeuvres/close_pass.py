@@ -86,12 +86,11 @@ def slow_leaders(
 
 def passing_rows(view: SituationView) -> Sequence[int]:
     """Return the row next to the target on the first of its ``pass_sides`` that does not drive away from it, or ()."""
-    target, sides = view.target, pass_sides(view)[:1]
+    target = view.target
     if target is None:
         return ()
-    return [row for side in sides for row in company_rows(view, side) if not _is_passed(view, target, row)][
-        :1
-    ]
+    rows = (row for side in pass_sides(view)[:1] for row in company_rows(view, side))
+    return [row for row in rows if not _is_passed(view, target, row)][:1]
 
 
 def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | None:

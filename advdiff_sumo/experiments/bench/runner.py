@@ -21,7 +21,7 @@ from advdiff_sumo.experiments.bench.natural_traffic import check_traffic, run_tr
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter, Silent
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_HORIZON_S
 from advdiff_sumo.experiments.bench.table import Table
-from advdiff_sumo.experiments.bench.table_cache import save
+from advdiff_sumo.experiments.bench.table_cache import mark_unfinished, save
 from advdiff_sumo.experiments.bench.transfer import plan_transfer, resolve_transfer_request, transfer_table
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs
 from advdiff_sumo.sweep.sweep_store import Store
@@ -103,6 +103,8 @@ def run_bench(
         EpisodeFailure: a warm-up fails.
     """
     bench = folder.request.bench
+    if retry_failed:
+        mark_unfinished(folder)
     if bench == "traffic":
         table = run_traffic(folder, workers, reporter)
     else:

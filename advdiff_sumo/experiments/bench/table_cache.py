@@ -45,6 +45,11 @@ def finished_table(folder: Folder) -> Table | None:
     return read_table(folder.path) if finished_digest == folder.request_digest else None
 
 
+def mark_unfinished(folder: Folder) -> None:
+    """Make the table of the folder, which stays, count as unfinished."""
+    (folder.path / _DONE).unlink(missing_ok=True)
+
+
 def read_table(path: Path) -> Table:
     """Return the table in *path*, a bench's folder.
 

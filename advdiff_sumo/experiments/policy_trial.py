@@ -126,7 +126,7 @@ def _instants(observed: Sequence[PlanningInstant]) -> dict[str, PlanningInstant]
     if not observed:
         return {}
     sampled = {
-        f"{k}, {instant.scene.time_s:.1f} s into an episode": instant
+        f"instant {k}, {instant.scene.time_s:.1f} s into an episode": instant
         for k, instant in enumerate(evenly_spaced(observed), 1)
     }
     first = observed[0]
@@ -184,8 +184,9 @@ def _in_traffic(records: Sequence[EpisodeRecord], run: Run) -> CheckResult:
         f"{counted(collisions, 'collision')} of background vehicles",
         counted(departures, "road departure"),
     ]
-    is_clean = not (refused or collisions or departures)
-    remedy = "" if is_clean else f"; advdiff-sumo run --background {run.names[1]} --check names each"
+    is_clean = not (collisions or departures) and all(record.failure is None for record in records)
+    remedy = f"; advdiff-sumo run --background {run.names[1]} --check names each"
+    remedy = remedy if collisions or departures else ""
     return CheckResult(IN_TRAFFIC, True if is_clean else None, ", ".join(counts) + remedy)
 
 

@@ -75,6 +75,8 @@ def test_what_is_wrong_is_named_and_counted(
     assert words in told[fails].detail
     assert (told[fails].ok, told["drives"].ok) == (False, False)
     assert counts in told["in traffic"].detail
+    assert told["in traffic"].ok is None
+    assert "names each" not in told["in traffic"].detail  # nobody collided or left the road
     if blind is not None:
         assert (told[blind].ok, told[blind].detail) == (None, "not looked at, see above")
 

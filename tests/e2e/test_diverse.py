@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo.traffic.attack_names import KIND_NAMES
 from tests.e2e.commands import Outcome
 
 SWEEP = """
@@ -81,4 +82,4 @@ def test_a_dry_run_counts_the_requested_episodes(workplace: Path, here: Callable
     sweep_file(workplace, 3)
     dry = here("sweep", "wide.toml", "--diverse", "--dry-run")
     assert dry.code == 0, dry.err
-    assert "3 episodes in 12 runs; 3 to do" in dry.out
+    assert f"3 episodes in {len(KIND_NAMES)} runs; 3 to do" in dry.out

@@ -152,11 +152,9 @@ class Decoder(nn.Module):
 
         States and messages of all other agents are those of *trace*; None: the rows are all agents.
         """
-        states, all_motions, messages = self._roll(z, h, around, steps, forced, trace, by)
-        motions = [
-            torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in all_motions
-        ]
-        return rollout_of(states), Trace(torch.stack(motions), torch.stack(messages))
+        states, motions, messages = self._roll(z, h, around, steps, forced, trace, by)
+        traced = [torch.cat((xy, yaw[..., None], speed[..., None]), dim=-1) for xy, yaw, speed in motions]
+        return rollout_of(states), Trace(torch.stack(traced), torch.stack(messages))
 
     def _roll(
         self,
@@ -173,16 +171,16 @@ class Decoder(nn.Module):
         advance, rows = by or own or self.step, around.rows
         memory = self.begin(z, h)
         motion = motion_now(around.own)
-        states, all_motions, messages = list[State](), list[Motion](), list[Tensor]()
+        states, motions, messages = list[State](), list[Motion](), list[Tensor]()
         for k in range(steps):
             everybody = motion if trace is None else self._among(trace.motion[k], rows, motion)
             others = None if trace is None else trace.senders[k]
             state, memory, senders = advance(memory, z, around, motion, everybody, others)
-            all_motions.append(everybody)
+            motions.append(everybody)
             messages.append(senders)
             states.append(state if forced is None else forced.put(k, state))
             motion = states[-1][:3]
-        return states, all_motions, messages
+        return states, motions, messages
 
     def surroundings(self, batch: SceneBatch, rows: Tensor | None = None) -> Surroundings:
         """Return the constant inputs of a rollout of agents *rows* (R,) of *batch*; None: of all."""

@@ -15,7 +15,6 @@ from advdiff_sumo.api.episode_view import EpisodeView, framed
 from advdiff_sumo.core.errors import FileError, MissingExtraError
 from advdiff_sumo.core.wording import counted
 from advdiff_sumo.data.run_tables import RunTables
-from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
 
@@ -130,13 +129,7 @@ class Results:
         Raises:
             FileError: there is no episode.
         """
-        if not self.finished.episodes:
-            raise FileError(
-                self.folder,
-                "has no episode",
-                "give the folder of a finished run, or go on with this one by --resume",
-            )
-        return EpisodeView(self.finished, worst_first(self.finished.episodes)[0])
+        return EpisodeView(self.finished, self.finished.worst_row())
 
     def __len__(self) -> int:
         return len(self.finished.episodes)

@@ -16,6 +16,7 @@ from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, state
 from advdiff_sumo.data.run_tables import RUN_PARTS, RunTables
 from advdiff_sumo.metrics.arrow_tables import upgraded_table
 from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, LATER_COLUMNS, Column
+from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.plans import PLAN_COLUMNS, Planned, plans_of
 
 Row: TypeAlias = Mapping[str, Any]
@@ -129,6 +130,20 @@ class FinishedRun:
         numbers = [int(row["episode"]) for row in self.episodes]
         has = f"it has {numbers[0]} to {numbers[-1]}" if numbers else "it has none"
         raise FileError(self.folder, f"has no episode {episode}", has)
+
+    def worst_row(self) -> Row:
+        """Return the row of the episode that comes first in a report.
+
+        Raises:
+            FileError: there is no episode.
+        """
+        if not self.episodes:
+            raise FileError(
+                self.folder,
+                "has no episode",
+                "give the folder of a finished run, or go on with this one by --resume",
+            )
+        return worst_first(self.episodes)[0]
 
     def collisions_of(self, episode: int) -> tuple[Row, ...]:
         """Return the collisions of *episode* in order of time."""

@@ -12,7 +12,6 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.metrics.severity import worst_first
 from advdiff_sumo.report.blocks import deviating_tracks
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.layer import MapLayer, NetWindow
@@ -51,13 +50,7 @@ class ChosenEpisode:
             FileError: there is no such run, episode, or no states of it.
         """
         run = FinishedRun.read(folder)
-        if episode is None and not run.episodes:
-            raise FileError(
-                folder,
-                "has no episode",
-                "give the folder of a finished run, or go on with this one by --resume",
-            )
-        row = worst_first(run.episodes)[0] if episode is None else run.row(episode)
+        row = run.worst_row() if episode is None else run.row(episode)
         states = run.states(int(row["episode"]))
         if states is None:
             raise FileError(folder, f"holds no states of episode {row['episode']}", "choose another episode")

@@ -13,15 +13,14 @@ import numpy as np
 
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.company import company_rows, has_lane_beside, local_position
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, MIN_STOPPING_SPEED_MPS, leads
 from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import kerb_side
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.target_lane_change import target_entering
-from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 SLOW_LEADER = "slow-leader"
 """Kind of manoeuvre of the leader that the target would like to overtake."""
@@ -33,7 +32,7 @@ _MIN_CLEARANCE_M = 0.5  # with less room nobody passes
 _BEGINS_M, _ENDS_M = 4.0, 2.0
 """Bumper gap at which the pass begins; gap beyond the target at which it is over."""
 _CLOSING_PER_S, _MAX_CLOSING_MPS = 0.4, 5.0  # speed difference per metre, before the pass
-_ADAPTS_S, _ACCEL_MPS2 = 0.8, 2.0
+_ACCEL_MPS2 = 2.0
 _LEADER_SHARES, _LEADER_BRAKING_MPS2 = (0.8, 0.5), 1.5
 """Shares of the limit at which the leader drives: before a vehicle is alongside the target, and then."""
 
@@ -70,18 +69,19 @@ def slow_leaders(
     view: SituationView, busy: Container[int], licence: Licence | None = LAWFUL
 ) -> list[Manoeuvre]:
     """Return how the target's leader, unless it is *busy*, gets to and keeps a low speed; [] if there is none."""
-    ahead = [(view.on_target_way[row][0], row) for row in view.movable if leads(view, row)]
-    distance_m, row = min(ahead, default=(0.0, -1))
-    if not ahead or row in busy or not view.is_clear_to(distance_m) or not pass_sides(view):
+    leaders = (
+        row for row in view.movable if leads(view, row) and view.is_clear_to(view.on_target_way[row][0])
+    )
+    row = next(leaders, None)
+    if row is None or row in busy or not pass_sides(view):
         return []
     way, speed = view.ways[row], view.speed(row)
     share = _LEADER_SHARES[any(_bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
     slow_mps = max(share * way.lane.speed_mps, MIN_STOPPING_SPEED_MPS)
-    accel = float(np.clip((slow_mps - speed) / _ADAPTS_S, -_LEADER_BRAKING_MPS2, _ACCEL_MPS2))
-    profile = SpeedProfile(accel, np.inf, 0.0, min(slow_mps, speed), max(slow_mps, speed))
-    leader = Manoeuvre(SLOW_LEADER, row, way, profile, is_positioning=True)
-    futures = futures_of_manoeuvres([leader], np.array([speed]))
-    return [leader] if lawful_mask(view, [leader], futures, licence)[0] else []
+    bounds = min(slow_mps, speed), max(slow_mps, speed)
+    profile = SpeedProfile.adapting(slow_mps, speed, _LEADER_BRAKING_MPS2, _ACCEL_MPS2, *bounds)
+    lasting = replace(profile, switch_s=np.inf)  # until it drives at that speed
+    return lawful_manoeuvres(view, [Manoeuvre(SLOW_LEADER, row, way, lasting, is_positioning=True)], licence)
 
 
 def passing_rows(view: SituationView) -> Sequence[int]:
@@ -104,9 +104,8 @@ def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | No
         return None
     faster_mps = min(PASSES_MPS + _CLOSING_PER_S * max(gap_m - _BEGINS_M, 0.0), _MAX_CLOSING_MPS)
     wish = float(np.clip(target.speed_mps + direction * faster_mps, MIN_STOPPING_SPEED_MPS, limit))
-    accel = float(np.clip((wish - view.speed(row)) / _ADAPTS_S, -_ACCEL_MPS2, _ACCEL_MPS2))
-    passing_way = Way(way.lane, way.drift_mps, keeps_left_m)
-    return Manoeuvre(CLOSE_PASSING, row, passing_way, SpeedProfile(accel, _ADAPTS_S, 0.0, 0.0, limit))
+    profile = SpeedProfile.adapting(wish, view.speed(row), _ACCEL_MPS2, _ACCEL_MPS2, 0.0, limit)
+    return Manoeuvre(CLOSE_PASSING, row, replace(way, keeps_left_m=keeps_left_m), profile)
 
 
 def _lateral_place_m(view: SituationView, row: int) -> float | None:

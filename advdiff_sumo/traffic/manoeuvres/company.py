@@ -13,13 +13,13 @@ import numpy as np
 from advdiff_sumo.core.frames import local_from_world
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
-from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_manoeuvres
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
 from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_M, MIN_HEADING_COSINE, MIN_STOPPING_SPEED_MPS
 from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
-from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import ADAPTS_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
 ACCOMPANIES = "accompanies"
@@ -31,8 +31,8 @@ _FRONT_SHARE, _LEVEL_SHARE = 0.4, -0.1
 """Places ahead of and level with the target, as shares of the spacing of two cars on one lane."""
 _REACH_M = (-45.0, 66.0)  # a vehicle between these distances ahead of the target is part of the company
 _MIN_ASIDE_M = 2.0
-_CLOSING_PER_S, _ADAPTS_S, _ACCEL_MPS2 = 0.4, 0.8, 2.0
-"""Speed difference per metre off the place, time to adapt to it, and largest acceleration."""
+_CLOSING_PER_S, _ACCEL_MPS2 = 0.4, 2.0
+"""Speed difference per metre off the place, and largest acceleration."""
 _MIN_SPEED_SHARE, _MAX_SLOWER_MPS = 0.5, 7.0
 """A vehicle that falls back to its place keeps this share of the target's speed, and is at most so much slower."""
 _BRAKES_MPS2, _DRIFTS_MPS = 2.5, 0.5
@@ -117,9 +117,7 @@ def company_manoeuvres(
         manoeuvres += [
             _keep_place(view, view.target, row, place_m) for row, place_m in _assigned(view, free, places_m)
         ]
-    futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(m.row) for m in manoeuvres]))
-    is_lawful = lawful_mask(view, manoeuvres, futures, licence) if manoeuvres else ()
-    return [m for m, keep in zip(manoeuvres, is_lawful, strict=True) if keep]
+    return lawful_manoeuvres(view, manoeuvres, licence)
 
 
 def company_rows(view: SituationView, side: str) -> Sequence[int]:
@@ -170,13 +168,11 @@ def _keep_place(view: SituationView, target: TargetWay, row: int, place_m: float
     way, speed = view.ways[row], view.speed(row)
     limit = way.lane.speed_mps
     lowest = max(_MIN_SPEED_SHARE * target.speed_mps, target.speed_mps - _MAX_SLOWER_MPS)
-    target_then = target.speed_mps + _ADAPTS_S * view.speed_gain_mps2(view.scene.target)
+    target_then = target.speed_mps + ADAPTS_S * view.speed_gain_mps2(view.scene.target)
     missing_m = place_m - local_position(view, row)[0]
     wish = float(np.clip(target_then + _CLOSING_PER_S * missing_m, min(lowest, limit), limit))
-    accel = float(np.clip((wish - speed) / _ADAPTS_S, -_ACCEL_MPS2, _ACCEL_MPS2))
-    return Manoeuvre(
-        ACCOMPANIES, row, way, SpeedProfile(accel, _ADAPTS_S, 0.0, 0.0, limit), is_positioning=True
-    )
+    profile = SpeedProfile.adapting(wish, speed, _ACCEL_MPS2, _ACCEL_MPS2, 0.0, limit)
+    return Manoeuvre(ACCOMPANIES, row, way, profile, is_positioning=True)
 
 
 def is_settled(view: SituationView) -> bool:

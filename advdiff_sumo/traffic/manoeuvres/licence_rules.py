@@ -17,7 +17,7 @@ from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.free_speed import can_slow_for_bends
-from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures
+from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import STOPPING_KINDS, crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -52,6 +52,17 @@ def lawful_mask(
     """
     is_lawful = [_is_lawful(view, m, futures, k, licence, begun) for k, m in enumerate(manoeuvres)]
     return np.array(is_lawful, dtype=np.bool_)
+
+
+def lawful_manoeuvres(
+    view: SituationView, manoeuvres: Sequence[Manoeuvre], licence: Licence | None
+) -> list[Manoeuvre]:
+    """Return those of *manoeuvres* that keep to *licence* and endanger nobody but the target."""
+    if not manoeuvres:
+        return []
+    futures = futures_of_manoeuvres(manoeuvres, np.array([view.speed(m.row) for m in manoeuvres]))
+    is_lawful = lawful_mask(view, manoeuvres, futures, licence)
+    return [m for m, keep in zip(manoeuvres, is_lawful, strict=True) if keep]
 
 
 def _is_lawful(

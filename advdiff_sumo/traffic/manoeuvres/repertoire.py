@@ -70,8 +70,8 @@ MIN_STOPPING_SPEED_MPS = 5.0
 """Only a faster vehicle can be made to stop."""
 _CROSSING_SPEED_SHARE = 0.45
 """Share of the limit below which a vehicle with priority does not slow."""
-_SPARE_M, _CLOSING_PER_S, _ADAPTS_S = 2.0, 0.6, 0.8
-"""Spare gap to cut in; speed difference per metre of gap that is missing; time to adapt to it."""
+_SPARE_M, _CLOSING_PER_S = 2.0, 0.6
+"""Spare gap to cut in; speed difference per metre of gap that is missing."""
 _LEAD_SPEED_SHARE, _LEAD_CLOSING_PER_S = 0.75, 0.4
 """Share of the target's speed at which a leader lets it close up; speed difference per metre of gap."""
 HEADWAY_S, _STANDING_GAP_M = 1.5, 2.0
@@ -94,8 +94,8 @@ def steady_lead_profile(view: SituationView, target: TargetWay, row: int) -> Spe
     excess_m = gap - (HEADWAY_S * target.speed_mps + _STANDING_GAP_M)
     slowest = min(max(_LEAD_SPEED_SHARE * target.speed_mps, MIN_STOPPING_SPEED_MPS + 1.0), limit)
     wish = float(np.clip(target.speed_mps - _LEAD_CLOSING_PER_S * excess_m, slowest, limit))
-    accel = float(np.clip((wish - speed) / _ADAPTS_S, -_LEAD_BRAKING_MPS2, _LEAD_ACCEL_MPS2))
-    return SpeedProfile(accel, _ADAPTS_S, 0.0, min(slowest, speed), limit)
+    lowest = min(slowest, speed)
+    return SpeedProfile.adapting(wish, speed, _LEAD_BRAKING_MPS2, _LEAD_ACCEL_MPS2, lowest, limit)
 
 
 def blocked_lane(view: SituationView, row: int) -> Iterator[Manoeuvre]:
@@ -138,8 +138,7 @@ def positioning_profile(
     half_lengths_m = 0.5 * float(view.size(row)[0] + target.size_m[0])
     missing_m = wanted_m - (view.on_target_way[row][0] - half_lengths_m)
     wish = float(np.clip(target.speed_mps + _CLOSING_PER_S * missing_m, 0.6 * target.speed_mps, limit))
-    accel = float(np.clip((wish - speed) / _ADAPTS_S, -2.0, 2.0))
-    return SpeedProfile(accel, _ADAPTS_S, 0.0, _MIN_SPEED_MPS, limit)
+    return SpeedProfile.adapting(wish, speed, 2.0, 2.0, _MIN_SPEED_MPS, limit)
 
 
 def crossing(view: SituationView, row: int) -> Iterator[Manoeuvre]:

@@ -17,6 +17,8 @@ CHECK_TIMES_S: FloatArray = np.arange(1.0, round(PLAN_STEPS * PLAN_DT_S / CHECK_
 """(24,) instants of a plan at which boxes are compared."""
 FINE_STEPS = 5
 """Integration steps per ``CHECK_DT_S``."""
+ADAPTS_S = 0.8
+"""Time within which a vehicle adapts its speed."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,19 @@ class SpeedProfile:
     then_mps2: float = 0.0
     lowest_mps: float = 0.0
     highest_mps: float = np.inf
+
+    @staticmethod
+    def adapting(
+        wish_mps: float,
+        now_mps: float,
+        braking_mps2: float,
+        accel_mps2: float,
+        lowest_mps: float,
+        highest_mps: float,
+    ) -> SpeedProfile:
+        """Return how a vehicle at *now_mps* gets to *wish_mps* within ``ADAPTS_S``, if these bounds allow it."""
+        accel = float(np.clip((wish_mps - now_mps) / ADAPTS_S, -braking_mps2, accel_mps2))
+        return SpeedProfile(accel, ADAPTS_S, 0.0, lowest_mps, highest_mps)
 
     @staticmethod
     def table(profiles: list[SpeedProfile]) -> FloatArray:

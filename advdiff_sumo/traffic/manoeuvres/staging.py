@@ -265,7 +265,7 @@ def _passing(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     target = view.target
     if target is None or target.speed_mps < MIN_STOPPING_SPEED_MPS or passing_rows(view):
         return
-    nearest_m = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
+    nearest_m = _least_distance_m(view) + 1.0
     for side in pass_sides(view)[:1]:
         way = view.neighbour_way(view.scene.target, side)
         if way is not None:
@@ -285,7 +285,7 @@ def _missing_company(view: SituationView) -> Iterator[Newcomer]:
     target, row = view.target, view.scene.target
     if target is None or target.speed_mps < MIN_STOPPING_SPEED_MPS:
         return
-    nearest_m = (_FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M) + 1.0
+    nearest_m = _least_distance_m(view) + 1.0
     for side, ahead_m in insertion_places(view, nearest_m):
         way = view.neighbour_way(row, side) if side else target.way
         if way is not None and way.lane.s_m + ahead_m > 0.0:
@@ -365,9 +365,13 @@ def _is_free(view: SituationView, newcomer: Newcomer, taken: Sequence[Newcomer])
     from_target = float(distance[rows == target].min(initial=np.inf))
     is_clear = is_clear and _meets_nobody(view, newcomer)
     from_taken = [float(np.linalg.norm(newcomer.xy_m - other.xy_m)) for other in taken]
-    nearest_m = _FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M
-    is_in_range = nearest_m < from_target < _FARTHEST_M
+    is_in_range = _least_distance_m(view) < from_target < _FARTHEST_M
     return is_clear and is_in_range and min(from_taken, default=np.inf) > _APART_M
+
+
+def _least_distance_m(view: SituationView) -> float:
+    """Return the distance from the target beyond which a vehicle may be inserted now."""
+    return _FROM_TARGET_M if is_first_plan(view) else _LATER_FROM_TARGET_M
 
 
 def _meets_nobody(view: SituationView, newcomer: Newcomer) -> bool:

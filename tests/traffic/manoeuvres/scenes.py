@@ -21,6 +21,15 @@ def long_lane(road: RoadMap) -> Lane:
     return road.lanes[longest.lane_ids[0]]
 
 
+def lane_alone(road: RoadMap) -> Lane:
+    """Return a driving lane with no lane beside it."""
+    return next(
+        lane
+        for lane in road.lanes.values()
+        if lane.is_drivable and not lane.is_internal and not lane.left_id and not lane.right_id
+    )
+
+
 def scene_on(lanes: Mapping[str, tuple[Lane, float, float]], time_s: float = 0.0) -> Scene:
     """Return a scene at *time_s* of vehicles, given as name → (lane, place along it, speed); the target comes first."""
     names = tuple(lanes)

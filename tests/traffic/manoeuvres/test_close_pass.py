@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, insert_newcomers
 from tests.sim.nets import build
-from tests.traffic.manoeuvres.scenes import scene_on, view_of
+from tests.traffic.manoeuvres.scenes import lane_alone, scene_on, view_of
 
 TARGET = {"target": (0, 100.0, 20.0)}
 
@@ -192,11 +192,7 @@ def test_a_leader_and_a_vehicle_to_pass_are_inserted(motorway: RoadMap) -> None:
 
 
 def test_there_is_no_pass_without_a_lane_beside(downtown: RoadMap) -> None:
-    lane = next(
-        lane
-        for lane in downtown.lanes.values()
-        if lane.is_drivable and not lane.is_internal and not lane.left_id and not lane.right_id
-    )
+    lane = lane_alone(downtown)
     view = SituationView.of(downtown, scene_on({"target": (lane, 5.0, 10.0), "leader": (lane, 28.0, 10.0)}))
     assert pass_sides(view) == []
     assert slow_leaders(view, ()) == []

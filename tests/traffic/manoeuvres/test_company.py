@@ -27,7 +27,7 @@ from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_man
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, insert_newcomers
 from tests.sim.nets import build
-from tests.traffic.manoeuvres.scenes import scene_on, view_of
+from tests.traffic.manoeuvres.scenes import lane_alone, scene_on, view_of
 
 TARGET = {"target": (1, 100.0, 20.0)}
 LEADER = {"leader": (1, 136.6, 20.0)}
@@ -51,11 +51,7 @@ def test_the_company_keeps_lawful_gaps(motorway: RoadMap) -> None:
 
 
 def test_there_is_no_company_without_a_lane_beside(downtown: RoadMap) -> None:
-    lane = next(
-        lane
-        for lane in downtown.lanes.values()
-        if lane.is_drivable and not lane.is_internal and not lane.left_id and not lane.right_id
-    )
+    lane = lane_alone(downtown)
     view = SituationView.of(downtown, scene_on({"target": (lane, 5.0, 10.0), "leader": (lane, 28.0, 10.0)}))
     assert company_places(view) == {}
     assert not list(hard_stop_in_company(view, 1))

@@ -6,7 +6,7 @@ import os
 import signal
 from types import FrameType
 
-from advdiff_sumo.core.errors import INTERRUPTED, KEPT
+from advdiff_sumo.core.errors import INTERRUPTED, INTERRUPTION
 
 
 def main() -> None:
@@ -23,7 +23,7 @@ def main() -> None:
 
 def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the arguments of a signal handler
     """End the process at once: no work has begun, and partly imported libraries cannot be cleaned up."""
-    os.write(2, f"{KEPT}\n".encode())
+    os.write(2, f"{INTERRUPTION}\n".encode())
     os._exit(INTERRUPTED)
 
 

@@ -15,10 +15,12 @@ from rich.table import Table
 from advdiff_sumo.cli.fitted_table import FittedTable
 from advdiff_sumo.cli.run_flags import Json
 from advdiff_sumo.cli.terminal import print_json, terminal
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
     from advdiff_sumo.sweep.paired import Comparison
+    from advdiff_sumo.sweep.summary_stats import Row
 
 _LISTED_EPISODES = 8
 
@@ -76,7 +78,6 @@ def compare(
     from advdiff_sumo.experiments.folder_rows import rows_of_folder
     from advdiff_sumo.sweep.condition import Condition
     from advdiff_sumo.sweep.paired import COMPARED_NAMES, NothingFinishedError, choose
-    from advdiff_sumo.sweep.paired import compare as paired
 
     condition = None if fail_if is None else Condition(fail_if, COMPARED_NAMES)
     sides, episodes = [], []
@@ -85,7 +86,7 @@ def compare(
             rows = rows_of_folder(folder)
             episodes.append(choose(rows.episodes, conditions, f"--{letter.lower()}"))
             sides.append(_Side(letter, folder, conditions, rows.of_run))
-        comparison = paired(episodes[0], episodes[1])
+        comparison = _paired(episodes, sides)
     except NothingFinishedError as error:
         if condition is None:
             raise
@@ -105,6 +106,16 @@ def compare(
     if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
         note = f"note: {_unpaired_text(comparison)}, which --fail-if does not ask about"
         terminal(stderr=True).print(f'{note}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
+
+
+def _paired(episodes: Sequence[Sequence[Row]], sides: Sequence[_Side]) -> Comparison:
+    """Return the comparison of the two sides' episodes; an error says of which folders."""
+    from advdiff_sumo.sweep.paired import compare as paired  # late, as above
+
+    try:
+        return paired(episodes[0], episodes[1])
+    except ConfigError as error:
+        raise type(error)(f"{' and '.join(str(side.folder) for side in sides)}: {error}") from None
 
 
 def _unpaired_text(comparison: Comparison) -> str:

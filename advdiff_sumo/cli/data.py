@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from advdiff_sumo.cli.interruption import same_command_continues
 from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
@@ -79,7 +80,8 @@ def simulate(
     )
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out} is a file; name a folder")
-    _simulate(options, out, workers)
+    with same_command_continues(out):
+        _simulate(options, out, workers)
 
 
 def _simulate(options: SimulateOptions, out: Path, workers: int) -> None:

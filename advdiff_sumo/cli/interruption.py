@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from advdiff_sumo.core.errors import KEPT
+from advdiff_sumo.core.errors import INTERRUPTION
 
+KEPT = f"{INTERRUPTION}; what had finished is kept"
 _NOTHING_KEPT = "interrupted before anything had finished; no folder is left"
 _RESUME = "--resume"
 

@@ -37,7 +37,7 @@ from advdiff_sumo.cli.train_rl import train_rl
 from advdiff_sumo.cli.verdict import verdict
 from advdiff_sumo.cli.video import video
 from advdiff_sumo.cli.warmup import warmup
-from advdiff_sumo.core.errors import INTERRUPTED, KEPT, AdvdiffError
+from advdiff_sumo.core.errors import INTERRUPTED, INTERRUPTION, AdvdiffError
 
 INPUT_ERROR = 2
 #: Words with which pydantic, which checks typer's options, begins a message in the middle of typer's sentence.
@@ -119,7 +119,7 @@ def main() -> None:
     """Run the command line and exit; an error that the user can correct is one sentence on stderr, exit code 2."""
     if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
         sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
-    message = KEPT
+    message = INTERRUPTION
     try:
         code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:

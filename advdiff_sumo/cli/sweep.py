@@ -62,12 +62,15 @@ def sweep(
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
+    from advdiff_sumo.sweep.sweep_store import must_be_free
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
     resumed = _resumed_store(resume, out)
     console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
     slots = workers or worker.cores()
+    if out is not None and resume is None and not dry_run:
+        must_be_free(out)  # before the plan, which takes a while
     with ExitStack() as stack:
         if dry_run:
             stack.enter_context(explains_how_to_continue(lambda: None, _DRY_RUN_INTERRUPTED))
@@ -167,8 +170,9 @@ def _plan(console: Console, file: Path | None, resumed: Store | None, diverse: b
     from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.sweep.job_plan import plan_sweep, sweep_notes
 
+    spec = _spec(file, resumed, diverse)
     try:
-        plan = plan_sweep(_spec(file, resumed, diverse), places=True)
+        plan = plan_sweep(spec, places=True)
     except (ConfigError, UnknownNameError) as error:
         if file is None or str(file) in str(error):
             raise

@@ -31,7 +31,8 @@ from pathlib import Path
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
-KEPT = "interrupted; what had finished is kept"
+INTERRUPTION = "interrupted"
+"""Message after Ctrl-C where nothing more can be said."""
 
 
 class AdvdiffError(Exception):

@@ -59,10 +59,7 @@ class Store:
         Raises:
             FileError: the folder is not empty, or cannot be written.
         """
-        if (path / SWEEP_SETTINGS).exists():
-            raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise FileError(path, "is there already and no empty folder", "choose a new --out")
+        must_be_free(path)
         try:
             return Store(path)._begin(settings, ballast_bytes)
         except DiskFullError:
@@ -268,6 +265,18 @@ class Store:
         self._batch_cache[batch] = entries
         while len(self._batch_cache) > _CACHED_BATCHES:
             self._batch_cache.popitem(last=False)
+
+
+def must_be_free(path: Path) -> None:
+    """Check that a new sweep can be begun in *path*.
+
+    Raises:
+        FileError: it is a file, or a folder that is not empty.
+    """
+    if (path / SWEEP_SETTINGS).exists():
+        raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise FileError(path, "is there already and no empty folder", "choose a new --out")
 
 
 def must_equal(path: Path, stored: SweepSpec, requested: SweepSpec) -> None:

@@ -12,7 +12,7 @@ from advdiff_sumo.cli.compare import compare
 from advdiff_sumo.core.errors import ConfigError
 
 _RELEASE, _TODAY = Path("release"), Path("today")
-_SENTENCE = "no seed scene was finished in both"
+_SENTENCE = "release and today: no seed scene was finished in both"
 
 
 @pytest.fixture

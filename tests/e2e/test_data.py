@@ -167,7 +167,7 @@ def test_ctrl_c_keeps_what_is_complete(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
-    assert "interrupted; what had finished is kept" in said
+    assert "interrupted; what had finished is kept; go on with advdiff-sumo data simulate --out w" in said
     assert "Traceback" not in said
     kept = list(folder.glob("*.safetensors"))
     assert 1 <= len(kept) < 3

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import advdiff_sumo as ads
-from advdiff_sumo.core.errors import KEPT
+from advdiff_sumo.cli.interruption import KEPT
+from advdiff_sumo.core.errors import INTERRUPTION
 from advdiff_sumo.sim.run_store import TABLES
 from tests.e2e.commands import TINY, advdiff, begin, bytes_of
 from tests.e2e.conftest import PLANNERS
@@ -111,7 +112,7 @@ def test_ctrl_c_while_the_package_is_imported(grid: Path, tmp_path: Path) -> Non
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=HANG_S)
     assert running.returncode == 130
-    assert said.splitlines() == [KEPT]
+    assert said.splitlines() == [INTERRUPTION]
 
 
 def test_ctrl_c_while_a_text_is_executed(grid: Path, tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_ctrl_c_while_a_text_is_executed(grid: Path, tmp_path: Path) -> None:
     (tmp_path / "impatient.py").write_text("exec('raise KeyboardInterrupt')\n")
     running = begin("run", "--net", grid, "--target", "impatient:Planner", "--out", "out", cwd=tmp_path)
     _, said = running.communicate(timeout=HANG_S)
-    assert (running.returncode, said.splitlines()) == (130, [KEPT])
+    assert (running.returncode, said.splitlines()) == (130, [INTERRUPTION])
 
 
 def test_ctrl_c_before_anything_has_finished(grid: Path, tmp_path: Path) -> None:

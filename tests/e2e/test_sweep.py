@@ -15,7 +15,7 @@ import pytest
 from defusedxml.ElementTree import parse
 
 import advdiff_sumo as ads
-from advdiff_sumo.core.errors import KEPT
+from advdiff_sumo.cli.interruption import KEPT
 from tests.e2e.commands import Outcome, advdiff, begin
 from tests.hang_guard import HANG_S
 
@@ -83,10 +83,13 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     refused = here("sweep", "small.toml", "--executor", "serial", "--out", "done")
     assert (refused.code, len(refused.err.splitlines())) == (2, 1)
     assert "already holds a sweep" in refused.err
+    (sweeps / "impossible.toml").write_text('[[cases]]\nnet = "elsewhere.net.xml"\ntarget = "IDM"\n')
+    refused = here("sweep", "impossible.toml", "--out", "done")
+    assert (refused.code, "already holds a sweep" in refused.err) == (2, True), "it has planned first"
     (sweeps / "other.toml").write_text(SWEEP.replace("3.0", "4.0"))
     refused = here("sweep", "other.toml", "--executor", "serial", "--resume", "done")
     assert (refused.code, len(refused.err.splitlines())) == (2, 1)
-    assert "belongs to another sweep: its horizon_s differ" in refused.err
+    assert refused.err.startswith("error: done: belongs to another sweep: its horizon_s differ")
     _an_older_page_is_told(sweeps / "done", rows[4]["key"], here)
 
 

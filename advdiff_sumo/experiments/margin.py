@@ -1,6 +1,6 @@
 """The margin of a seed scene: the least severe encounter that makes a target fail validly, by bisection.
 
-Each kind of attack has scales of severity (``SCALES``): the deceleration of a braking vehicle, the gap of a cut-in,
+Each kind of attack has scales of severity (``SCALES``): the deceleration of a braking vehicle, the gap at an entry,
 the time by which a crossing vehicle precedes the target, or how late a leader's cut-out reveals a vehicle.
 The seed scene, the place and the attacker stay the same.
 """
@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.traffic.manoeuvres.intensity import (
     BRAKING_KINDS,
+    GAP_KINDS,
     LEAST_REVEALS_S,
     MOST_EARLY_S,
     MOST_REVEALS_S,
     MOST_SPARE_GAP_M,
 )
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
 
 EVERY_ATTACK = "all"
 _LEAVES_ROAD = "it leaves the road by itself and touches nobody"
@@ -67,8 +69,10 @@ REVEAL = Scale(
 )
 SCALES: Mapping[str, tuple[Scale, ...]] = {
     **dict.fromkeys(BRAKING_KINDS, (BRAKING,)),
+    **dict.fromkeys(GAP_KINDS, (GAP,)),
     "cut-in": (GAP, BRAKING),
     "crossing": (TIME,),
+    ONCOMING: (TIME,),
     "cut-out": (REVEAL,),
 }
 """Kind of attack → its scales of severity; the first is the default."""

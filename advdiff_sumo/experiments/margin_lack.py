@@ -21,9 +21,11 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import (
     LEADER_RANGE_M,
     MIN_HEADING_COSINE,
     MIN_STOPPING_SPEED_MPS,
+    SLOW_ENTRIES,
     STANDING_BELOW_MPS,
     STOPPING_KINDS,
 )
+from advdiff_sumo.traffic.manoeuvres.slow_places import SLOW_ENTRY_MIN_MPS
 
 _LEAD_IN_S = 6.0
 """Inserted vehicles drive without attacking at first: shorter episodes leave no time for an attack."""
@@ -41,7 +43,7 @@ def lack_text(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str
         states: of the episode.
     """
     reasons = [
-        *_target_reasons(states),
+        *_target_reasons(attack, states),
         *_traffic_reasons(attack, states),
         *_duration_reasons(row, _LEAD_IN_S),
     ]
@@ -49,11 +51,11 @@ def lack_text(attack: str, row: Mapping[str, Any], states: EpisodeStates) -> str
     return in_series(reasons) if reasons else "the record does not tell what was lacking"
 
 
-def _target_reasons(states: EpisodeStates) -> Iterator[str]:
+def _target_reasons(attack: str, states: EpisodeStates) -> Iterator[str]:
     fastest = float(np.nanmax(states.tracks.speed_mps[states.target]))
     if fastest < STANDING_BELOW_MPS:
         yield "the target stood"
-    elif fastest < SLOWEST_TARGET_MPS:
+    elif fastest < (SLOW_ENTRY_MIN_MPS if attack in SLOW_ENTRIES else SLOWEST_TARGET_MPS):
         yield f"the target drove at most {fastest:.1f} m/s"
 
 
@@ -65,7 +67,7 @@ def _traffic_reasons(attack: str, states: EpisodeStates) -> Iterator[str]:
         fastest = float(states.tracks.speed_mps[ahead].max())
         if fastest <= MIN_STOPPING_SPEED_MPS:
             yield f"who was ahead of it drove at most {fastest:.1f} m/s"
-    elif attack == "cut-in" and not beside.any():
+    elif attack in ("cut-in", *SLOW_ENTRIES) and not beside.any():
         yield f"nobody drove beside it within {AHEAD_M:g} m"
 
 

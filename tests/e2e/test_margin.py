@@ -131,13 +131,14 @@ def test_all_kinds_of_attack_in_one_scene(tmp_path: Path) -> None:
         ("cut-in", "braking"),
         ("stop-and-go", "braking"),
         ("blocked-lane", "braking"),
+        ("double", "braking"),
+        ("slow-merge", "gap"),
+        ("pull-out", "gap"),
         ("crossing", "time"),
+        ("oncoming", "time"),
         ("cut-out", "time"),
     ]
-    for kind in (
-        "crossing",
-        "cut-out",
-    ):  # no junction is near, and the target is too fast for an occluded road user
+    for kind in ("crossing", "oncoming"):  # no junction is near
         assert f"nobody was in a position for {kind}" in done.out
 
 

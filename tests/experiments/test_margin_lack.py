@@ -49,6 +49,8 @@ def states(speed_mps: float, *others: tuple[float, float, float]) -> EpisodeStat
         ("cut-out", states(9.0, (30.0, 3.2, 9.0)), "nobody was straight ahead of it within 68 m"),
         ("cut-in", states(9.0, (30.0, 0.0, 9.0)), "nobody drove beside it within 55 m"),
         ("cut-in", states(9.0, (60.0, 3.2, 9.0)), "nobody drove beside it within 55 m"),
+        ("pull-out", states(9.0, (30.0, 0.0, 9.0)), "nobody drove beside it within 55 m"),
+        ("pull-out", states(5.0, (30.0, 3.2, 0.0)), "the target drove at most 5.0 m/s"),
         ("cut-in", states(9.0, (30.0, 3.2, 9.0)), "the record does not tell what was lacking"),
     ],
 )

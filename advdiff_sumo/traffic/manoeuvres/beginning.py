@@ -54,7 +54,8 @@ def begin(
         for kind in memory.weights
     }
     good = [c for c in ranked if c.manoeuvre.is_positioning or c.merit >= least[c.manoeuvre.kind]]
-    ready = [c for c in good if not can_begin_later(view, c.manoeuvre, c.needed_mps2, licence)]
+    spare_gap_m = memory.intensity.spare_gap_m
+    ready = [c for c in good if not can_begin_later(view, c.manoeuvre, c.needed_mps2, licence, spare_gap_m)]
     for chosen in ready[:_FULLY_CHECKED]:
         others = (*going, *(c.manoeuvre for c in begun))
         fits = len(begun) < room and all(_go_together(chosen.manoeuvre, other) for other in others)

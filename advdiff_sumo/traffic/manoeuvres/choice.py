@@ -140,7 +140,7 @@ def _merits(
         else:  # less if the target notices in time that the vehicle does not stop
             merit[rows] *= np.where(at_red < _TRAPPED_WEIGHT * _UNNOTICED_SHARE, _ONE_INSTANT_FACTOR, 1.0)
     for k, manoeuvre in enumerate(proposals):
-        match = severity_match(view, manoeuvre, futures.driven_m[k], intensity)
+        match = severity_match(view, manoeuvre, futures.driven_m[k], float(needed[k]), intensity)
         merit[k] = merit[k] if match is None else match
     return merit
 

@@ -167,9 +167,7 @@ class Commitments:
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = _newcomer_classes(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
-        stage = StagingMemory(
-            staged, classes, oncoming, intensity.early_s, intensity.spare_gap_m or 0.0, attack == ONCOMING
-        )
+        stage = StagingMemory(staged, classes, oncoming, attack == ONCOMING, intensity)
         agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
         if preference is not None and attack in UNPREDICTED_KINDS:
             preference = None

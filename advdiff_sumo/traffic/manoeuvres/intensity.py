@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 HARDEST_MPS2 = 9.0
 """No car brakes harder."""
-BRAKING_KINDS = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane")
+BRAKING_KINDS = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane", "double")
 """Kinds whose severity is how hard the attacker brakes."""
+GAP_KINDS = ("cut-in", "slow-merge", "pull-out")
+"""Kinds whose severity is the gap at the entry into the target's lane."""
 MOST_SPARE_GAP_M = 25.0
 """Largest gap beyond the lawful one that may be prescribed for a lane change."""
 MOST_EARLY_S = 1.5
@@ -22,7 +24,7 @@ class Intensity:
 
     Attributes:
         braking_mps2: deceleration of the attacker. The manoeuvre, its time and place are chosen as without it.
-        spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops.
+        spare_gap_m: bumper gap beyond the lawful one at which a vehicle enters the target's lane; a cut-in then stops.
         early_s: how long before the target a vehicle with priority is where their ways meet.
         reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
     """
@@ -34,7 +36,8 @@ class Intensity:
 
     def is_prescribed_for(self, kind: str) -> bool:
         """Return whether manoeuvres of *kind* are chosen by a prescribed severity instead of their merit."""
-        prescribed = {"cut-in": self.spare_gap_m, "crossing": self.early_s, "cut-out": self.reveals_s}
+        gaps_m = dict.fromkeys(GAP_KINDS, self.spare_gap_m)
+        prescribed = {**gaps_m, "crossing": self.early_s, "cut-out": self.reveals_s}
         return prescribed.get(kind) is not None
 
 

@@ -14,12 +14,13 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import entry_margin_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import conflict_points_m
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
-    DOUBLE,
+    MAX_DEMAND_MPS2,
     crossing_links,
     cut_out_at,
     positioning_profile,
 )
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_entry_margin_m
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 
 AFTER_ENTRY_MPS2 = 6.5
@@ -50,7 +51,11 @@ def with_severity(
 
 
 def severity_match(
-    view: SituationView, manoeuvre: Manoeuvre, driven_m: FloatArray, intensity: Intensity
+    view: SituationView,
+    manoeuvre: Manoeuvre,
+    driven_m: FloatArray,
+    needed_mps2: float,
+    intensity: Intensity,
 ) -> float | None:
     """Return how near *manoeuvre* comes to the prescribed severity, 1 at it and 0 far off; None if none is prescribed.
 
@@ -58,12 +63,16 @@ def severity_match(
         view: the scene.
         manoeuvre: driven from now on.
         driven_m: (T,) distances along its way at ``CHECK_TIMES_S``.
+        needed_mps2: the required deceleration of the target.
         intensity: the prescribed severities.
     """
     if manoeuvre.is_positioning or not intensity.is_prescribed_for(manoeuvre.kind):
         return None
     if manoeuvre.kind == "cut-out":
         return 1.0
+    if intensity.spare_gap_m is not None and manoeuvre.kind in MAX_DEMAND_MPS2:
+        is_resolvable = needed_mps2 <= MAX_DEMAND_MPS2[manoeuvre.kind]
+        return float(is_resolvable and slow_entry_margin_m(view, manoeuvre, LAWFUL) >= intensity.spare_gap_m)
     if intensity.spare_gap_m is not None and manoeuvre.kind == "cut-in":
         enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
         spare_m = entry_margin_m(view, manoeuvre.row, view.scene.target, enters_s, LAWFUL)
@@ -99,7 +108,7 @@ def arrival_lead_s(view: SituationView, row: int, driven_m: FloatArray) -> float
 
 def with_braking(manoeuvre: Manoeuvre, braking_mps2: float | None) -> Manoeuvre:
     """Return *manoeuvre* with this deceleration if it attacks by braking; None: leave it unchanged."""
-    if braking_mps2 is None or manoeuvre.is_positioning or manoeuvre.kind not in (*BRAKING_KINDS, DOUBLE):
+    if braking_mps2 is None or manoeuvre.is_positioning or manoeuvre.kind not in BRAKING_KINDS:
         return manoeuvre
     profile = manoeuvre.profile
     first, then = (-braking_mps2 if a < 0.0 else a for a in (profile.first_mps2, profile.then_mps2))

@@ -108,25 +108,39 @@ def kerb_side(view: SituationView) -> str:
 
 
 def can_begin_later(
-    view: SituationView, manoeuvre: Manoeuvre, needed_mps2: float, licence: Licence | None
+    view: SituationView,
+    manoeuvre: Manoeuvre,
+    needed_mps2: float,
+    licence: Licence | None,
+    spare_gap_m: float | None = None,
 ) -> bool:
     """Return whether *manoeuvre*, which requires *needed_mps2* of the target, can also begin at the next plan.
 
-    By then the gap is smaller: a slow entry begins with the smallest gap that the licence allows.
+    By then the gap is smaller: a slow entry begins with the smallest gap that the licence allows, or with a prescribed
+    *spare_gap_m* more.
     """
-    if manoeuvre.kind not in SLOW_ENTRIES or manoeuvre.is_positioning or needed_mps2 == 0.0:
+    if manoeuvre.kind not in SLOW_ENTRIES or manoeuvre.is_positioning:
         return False
-    row, target = manoeuvre.row, view.scene.target
-    lost_m = PLAN_DT_S * (view.speed(target) - view.speed(row))
-    xy_m = view.scene.history.xy_m[row, -1]
-    end_mps = manoeuvre.mean_and_end_speed(manoeuvre.perceivable_s(xy_m), view.speed(row))[1]
-    closing_mps = view.speed(target) - end_mps
-    braking_m = 0.5 * closing_mps**2 / needed_mps2 - lost_m  # left for braking
-    if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * braking_m:
+    if needed_mps2 == 0.0 and spare_gap_m is None:
         return False
-    enters_s = manoeuvre.enters_s(xy_m)
-    speeds_mps = manoeuvre.mean_and_end_speed(enters_s, view.speed(row))
-    return entry_margin_m(view, row, target, enters_s, licence or LAWFUL, speeds_mps) >= lost_m
+    row = manoeuvre.row
+    lost_m = PLAN_DT_S * (view.speed(view.scene.target) - view.speed(row))
+    if needed_mps2 > 0.0:
+        perceivable_s = manoeuvre.perceivable_s(view.scene.history.xy_m[row, -1])
+        closing_mps = (
+            view.speed(view.scene.target) - manoeuvre.mean_and_end_speed(perceivable_s, view.speed(row))[1]
+        )
+        braking_m = 0.5 * closing_mps**2 / needed_mps2 - lost_m  # left for braking
+        if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * braking_m:
+            return False
+    return slow_entry_margin_m(view, manoeuvre, licence or LAWFUL) >= lost_m + (spare_gap_m or 0.0)
+
+
+def slow_entry_margin_m(view: SituationView, manoeuvre: Manoeuvre, licence: Licence) -> float:
+    """Return the gap to the target that a slow entry leaves beyond the one that *licence* demands."""
+    enters_s = manoeuvre.enters_s(view.scene.history.xy_m[manoeuvre.row, -1])
+    speeds_mps = manoeuvre.mean_and_end_speed(enters_s, view.speed(manoeuvre.row))
+    return entry_margin_m(view, manoeuvre.row, view.scene.target, enters_s, licence, speeds_mps)
 
 
 def _goal(view: SituationView, row: int) -> Way | None:

@@ -30,7 +30,8 @@ _KERB_CLASSES: tuple[AgentClass, ...] = (AgentClass.BUS, AgentClass.TRUCK, Agent
 """Classes of the vehicles at the kerb, in turn."""
 _CRAWL_SHARES = (0.25, 0.35, 0.45, 0.55)
 """Shares of the target's speed at which a vehicle crawls, lowest first: the slower, the farther ahead it begins."""
-_MIN_TARGET_MPS = 6.0
+SLOW_ENTRY_MIN_MPS = 6.0
+"""For a slower target no vehicle is inserted to enter slowly."""
 _SEEN_S, _FIRST_MERGE_S = 1.2, 3.5
 """Time from the insertion until the vehicle may begin; earliest time of a merge in an episode."""
 _MERGES_S, _IN_VIEW_S = 1.0, 0.8
@@ -51,7 +52,8 @@ def insert_slow_vehicle(
     if standing.members or now < standing.next_try_s or stage.count >= stage.most:
         return standing, stage
     agent_class = _KERB_CLASSES[stage.count % len(_KERB_CLASSES)] if kind == PULL_OUT else stage.agent_class
-    candidate = next(_candidates(view, kind, agent_class), None)
+    spare_m = stage.intensity.spare_gap_m or 0.0
+    candidate = next(_candidates(view, kind, agent_class, spare_m), None)
     if candidate is None:
         return standing, stage
     vehicle = replace(candidate, name=f"staged-{stage.count}")
@@ -63,14 +65,19 @@ def can_insert_slow_vehicle(view: SituationView, kind: str) -> bool:
     return next(_candidates(view, kind, AgentClass.CAR), None) is not None
 
 
-def _candidates(view: SituationView, kind: str, agent_class: AgentClass) -> Iterator[Newcomer]:
-    """Yield vehicles that may be inserted beside the target's lane, the preferred ones first."""
+def _candidates(
+    view: SituationView, kind: str, agent_class: AgentClass, spare_m: float = 0.0
+) -> Iterator[Newcomer]:
+    """Yield vehicles that may be inserted beside the target's lane, the preferred ones first.
+
+    They can begin with *spare_m* more than the gap that is demanded.
+    """
     target = view.target
-    if target is None or target.speed_mps < _MIN_TARGET_MPS:
+    if target is None or target.speed_mps < SLOW_ENTRY_MIN_MPS:
         return
     seen_s = _SEEN_S if kind == PULL_OUT else max(_FIRST_MERGE_S - view.scene.time_s, _SEEN_S)
     target_mps = _target_speed_at(view, target, seen_s, _PERCEIVED_S if kind == PULL_OUT else _MERGES_S)
-    for speed_mps, begin_m in _begin_distances(view, target_mps, kind, agent_class):
+    for speed_mps, begin_m in _begin_distances(view, target_mps, kind, agent_class, spare_m):
         ahead_m = begin_m + seen_s * (target_mps - speed_mps)
         yield from _beside(view, target, kind, agent_class, speed_mps, ahead_m)
 
@@ -115,7 +122,7 @@ def _is_passable(view: SituationView, link: Link) -> bool:
 
 
 def _begin_distances(
-    view: SituationView, target_mps: float, kind: str, agent_class: AgentClass
+    view: SituationView, target_mps: float, kind: str, agent_class: AgentClass, spare_m: float
 ) -> Iterator[tuple[float, float]]:
     """Yield (speed, distance of its centre ahead of the target's) at which the vehicle may begin its entry."""
     half_lengths_m = 0.5 * float(view.size(view.scene.target)[0] + Newcomer.size_of(agent_class)[0])
@@ -126,8 +133,9 @@ def _begin_distances(
         begins = [(speed, entry_gap_m(target_mps, speed, speed, _MERGES_S)) for speed in speeds]
     for speed, gap_m in begins:
         in_view_m = _IN_VIEW_S * (target_mps - speed) if speed else 0.0
-        if gap_m + half_lengths_m + in_view_m <= NEAR_M:
-            yield speed, max(gap_m + half_lengths_m, _MIN_AHEAD_M)
+        begin_m = gap_m + spare_m + half_lengths_m
+        if begin_m + in_view_m <= NEAR_M:
+            yield speed, max(begin_m, _MIN_AHEAD_M)
 
 
 def _pull_out_gap_m(target_mps: float, accel_mps2: float) -> float:

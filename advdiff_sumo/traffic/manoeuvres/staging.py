@@ -19,6 +19,7 @@ from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.close_pass import pass_sides, passing_rows
 from advdiff_sumo.traffic.manoeuvres.company import company_places, insertion_places
+from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SLOWEST_TARGET_MPS,
     Approach,
@@ -71,9 +72,8 @@ class StagingMemory:
         most: most vehicles that may be inserted during an episode.
         classes: classes of the inserted vehicles, in turn.
         oncoming: whether vehicles with priority come from ahead rather than from the side.
-        early_s: how long before the target they are where they meet; None: at about the same time.
-        spare_gap_m: gap beyond the lawful one that a vehicle beside leaves.
         only_oncoming: whether no vehicle with priority comes from the side.
+        intensity: prescribed severities.
         count: number of vehicles inserted so far.
         next_try_s: when the next insertion may be tried.
     """
@@ -81,9 +81,8 @@ class StagingMemory:
     most: int = 0
     classes: tuple[AgentClass, ...] = (AgentClass.CAR,)
     oncoming: bool = False
-    early_s: float | None = None
-    spare_gap_m: float = 0.0
     only_oncoming: bool = False
+    intensity: Intensity = ANY_SEVERITY
     count: int = 0
     next_try_s: float = 0.0
 
@@ -222,7 +221,7 @@ def _neighbours(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]
             continue
         speed_mps = min(target.speed_mps, way.lane.speed_mps)
         safe_m = safe_gap_m(target_mps + 0.5, speed_mps)
-        gap_m = LAWFUL.gap_share * safe_m + LAWFUL.spare_m + stage.spare_gap_m
+        gap_m = LAWFUL.gap_share * safe_m + LAWFUL.spare_m + (stage.intensity.spare_gap_m or 0.0)
         ahead_m = max(gap_m + SIZE_M[stage.agent_class][0] + _SPARE_M, nearest_m)
         # a vehicle that is already near that place can get there by itself
         if not view.is_occupied(way, NO_LEADER_WITHIN_M, _IN_LANE_M, ahead_m - _NEARLY_M):
@@ -231,7 +230,8 @@ def _neighbours(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
     """Yield vehicles that the target must let pass at its next junction, where they arrive when it does."""
-    for approach in priority_approaches(view, stage.oncoming, stage.early_s, stage.only_oncoming):
+    early_s = stage.intensity.early_s
+    for approach in priority_approaches(view, stage.oncoming, early_s, stage.only_oncoming):
         yield Newcomer(approach.way, approach.speed_mps, stage.agent_class)
 
 

@@ -46,7 +46,8 @@ class ScriptedOptions(Options):
         pause_s: rest of a vehicle after a manoeuvre.
         braking_mps2: deceleration of an attacker that brakes, where and when it would brake anyway; None: that with the
             highest merit, as for the three options that follow.
-        spare_gap_m: bumper gap beyond the lawful one at which a vehicle cuts in, which then stops at 6.5 m/s².
+        spare_gap_m: bumper gap beyond the lawful one at which a vehicle enters the target's lane; after a cut-in it
+            stops at 6.5 m/s².
         early_s: how long before the target a vehicle with priority is where their ways meet.
         reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
         staged: most vehicles that are inserted during an episode if an encounter lacks them; 0: none.

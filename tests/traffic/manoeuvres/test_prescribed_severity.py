@@ -25,6 +25,7 @@ from advdiff_sumo.traffic.manoeuvres.prescribed_severity import (
 )
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.slow_entries import slow_entry_margin_m, slow_merge
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
 from tests.planners.encounters import Encounter, Scripted, crossing, failed, over, two_lanes
 from tests.traffic.manoeuvres.scenes import view_of
@@ -58,8 +59,17 @@ def test_a_cut_in_matches_the_prescribed_gap(motorway: RoadMap) -> None:
     assert entry_margin_m(further, 1, 0, 0.0, LAWFUL) == pytest.approx(spare + 5.0, abs=0.01)
     driven = 20.0 * CHECK_TIMES_S
     for spare_gap_m, match in ((spare - 1.0, 1.0), (spare + 1.0, 0.0), (spare - GAP_TOLERANCE_M - 1.0, 0.0)):
-        assert severity_match(view, change, driven, Intensity(spare_gap_m=spare_gap_m)) == match
-    assert severity_match(view, change, driven, Intensity()) is None
+        assert severity_match(view, change, driven, 4.0, Intensity(spare_gap_m=spare_gap_m)) == match
+    assert severity_match(view, change, driven, 4.0, Intensity()) is None
+
+
+def test_a_slow_merge_leaves_at_least_the_prescribed_gap_and_can_be_resolved(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 14.0), crawls=(1, 100.0, 3.5))
+    change = next(m for m in slow_merge(view, 1) if m.goal is not None)
+    spare_m, driven = slow_entry_margin_m(view, change, LAWFUL), 3.5 * CHECK_TIMES_S
+    cases = ((spare_m - 0.1, 5.0, 1.0), (spare_m + 0.1, 2.0, 0.0), (spare_m - 0.1, 6.0, 0.0))
+    for spare_gap_m, needed_mps2, match in cases:
+        assert severity_match(view, change, driven, needed_mps2, Intensity(spare_gap_m=spare_gap_m)) == match
 
 
 def test_a_prescribed_gap_changes_the_position_and_fixes_the_braking(motorway: RoadMap) -> None:
@@ -82,7 +92,7 @@ def test_a_leader_leaves_at_the_prescribed_time_before_the_standing_vehicle(moto
     late = list(with_severity(view, leaves, Intensity(reveals_s=1.5)))
     assert [m.delay_s for m in late] == pytest.approx([0.85] * len(late))
     assert [m.revealed_row for m in late] == [2] * len(late) != []
-    assert severity_match(view, late[0], 10.0 * CHECK_TIMES_S, Intensity(reveals_s=1.5)) == 1.0
+    assert severity_match(view, late[0], 10.0 * CHECK_TIMES_S, 4.0, Intensity(reveals_s=1.5)) == 1.0
     assert list(with_severity(view, leaves, Intensity(reveals_s=2.5))) == []
     assert list(with_severity(view, leaves, Intensity(early_s=0.5))) == leaves
 

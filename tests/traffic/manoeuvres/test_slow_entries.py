@@ -29,6 +29,7 @@ from advdiff_sumo.traffic.manoeuvres.slow_entries import (
     entry_gap_m,
     pull_out,
     slow_body,
+    slow_entry_margin_m,
     slow_merge,
 )
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S, SpeedProfile
@@ -193,6 +194,20 @@ def test_a_slow_entry_waits_while_it_can_also_begin_later(motorway: RoadMap) -> 
         view, change = merges(motorway, entry_gap_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
         assert can_begin_later(view, change, 2.0, LAWFUL) is waits
         assert not can_begin_later(view, change, 5.0, LAWFUL)
+        assert can_begin_later(view, change, 0.0, LAWFUL) is False
+
+
+@pytest.mark.parametrize(("spare_m", "waits"), [(13.5, True), (13.0, False)])
+def test_with_a_prescribed_gap_it_begins_before_less_than_that_is_left(
+    spare_m: float, waits: bool, motorway: RoadMap
+) -> None:
+    """With 8 m more than the lawful gap prescribed, 5.25 m are lost until the next plan; however little it needs."""
+    view, change = merges(motorway, 40.0, 14.0, 3.5)
+    enters = change.enters_s(view.scene.history.xy_m[1, -1])
+    view, change = merges(motorway, entry_gap_m(14.0, 3.5, 3.5, enters) + spare_m, 14.0, 3.5)
+    assert slow_entry_margin_m(view, change, LAWFUL) == pytest.approx(spare_m, abs=0.05)
+    for needed_mps2 in (0.0, 2.0):
+        assert can_begin_later(view, change, needed_mps2, LAWFUL, spare_gap_m=8.0) is waits
 
 
 def test_an_entry_that_requires_too_much_braking_is_not_chosen(motorway: RoadMap) -> None:

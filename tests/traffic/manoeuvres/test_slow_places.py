@@ -13,6 +13,7 @@ from advdiff_sumo.maps.lanes import Lane
 from advdiff_sumo.traffic.manoeuvres import commitments
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda, is_possible
 from advdiff_sumo.traffic.manoeuvres.commitments import ANY_KINDS, Commitments
+from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -47,6 +48,17 @@ def test_a_vehicle_crawls_where_it_may_soon_enter(motorway: RoadMap) -> None:
     assert ahead == pytest.approx(64.0, abs=1.0)
     assert vehicle.agent_class is AgentClass.TRUCK
     assert vehicle.route == view.scene.routes[0]
+
+
+def test_with_a_prescribed_gap_the_vehicle_is_so_much_farther_ahead(motorway: RoadMap) -> None:
+    view = view_of(motorway, target=(0, 50.0, 9.0))
+    ahead = []
+    for spare_gap_m in (None, 6.0):
+        (vehicle,) = inserted(
+            view, "slow-merge", replace(STAGE, intensity=Intensity(spare_gap_m=spare_gap_m))
+        )
+        ahead.append(place(motorway, vehicle)[1])
+    assert ahead[1] - ahead[0] == pytest.approx(6.0, abs=0.01)
 
 
 def test_ahead_of_a_fast_target_the_vehicle_is_faster(motorway: RoadMap) -> None:

@@ -12,6 +12,7 @@ import csv
 import json
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from write_outputs_doc import write_or_check
@@ -24,6 +25,7 @@ from advdiff_sumo.experiments.bench.detection import LEVEL, ranking_auc
 from advdiff_sumo.planners.defects.catalogue import catalogue_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "defects.md"
+PUBLISHED_SEVERITY = "strong"
 _PLACE = re.compile(r"(<!-- catalogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _BASELINE = re.compile(r"(<!-- baseline -->\n).*?(<!-- end of baseline -->)", re.DOTALL)
 _FINDINGS = re.compile(r"(<!-- findings -->\n).*?(<!-- end of findings -->)", re.DOTALL)
@@ -39,7 +41,7 @@ def filled(page: str) -> str:
 
 
 def baseline(names: list[str]) -> str:
-    """Return the valid failures in the tables *names* in whole percent, one row for each defect, and the score.
+    """Return the valid failures in the tables *names* in whole percent, one row for each strong defect, and the score.
 
     Detected defects are bold.
     """
@@ -60,11 +62,10 @@ def baseline(names: list[str]) -> str:
             _cell_text(cells.get((target, row, column)), (target, row, column) in detected)
             for column in columns
         )
-        text += f"| {f'{target}, {row}' if row == SOUND else row} | {' | '.join(shown)} |\n"
-    runs = "; ".join(
-        _run_text(name, columns, provenance[name]["title"]) for name, columns in _shown(names).items()
-    )
-    return f"Valid failures in % of the episodes. {runs}:\n\n{text}"
+        name = f"{target}, {row}" if row == SOUND else row.removesuffix(f":{PUBLISHED_SEVERITY}")
+        text += f"| {name} | {' | '.join(shown)} |\n"
+    scenes = {name: provenance[name]["title"].partition(": ")[2] for name in names}
+    return f"Valid failures in % of the episodes. {_runs_text(_shown(names), scenes)}:\n\n{text}"
 
 
 def rankings(names: list[str]) -> dict[str, float]:
@@ -85,24 +86,29 @@ def findings(names: list[str], ranked: dict[str, float]) -> str:
         names: tables of findings.
         ranked: background → AUC.
     """
-    counts = ("episodes", "collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
+    counts = ("collisions", "valid, %", "the other broke a rule, %", "kinds per 100 episodes")
     heads = (*counts, "first detection of a defect, CPU s", "AUC")
     text = f"|  | {' | '.join(heads)} |\n|---|{'--:|' * len(heads)}\n"
     for line in _lines(names, "-findings"):
         if line["target"] == "lane_graph":
-            episodes, collisions = line["episodes"], int(line["collisions"])
+            collisions = int(line["collisions"])
             shares = (f"{100 * int(line[key]) / max(collisions, 1):.1f}" for key in ("valid", "others_broke"))
             rest = (line["cells_per_100"] or "–", line["median_first_cpu_s"] or "–")
             auc, title = f"{ranked[line['background']]:.3f}", policy_row(line["background"]).title
-            cells = (title, episodes, str(collisions), *shares, *rest, auc)
+            cells = (title, str(collisions), *shares, *rest, auc)
             text += f"| {' | '.join(cells)} |\n"
     return text
 
 
-def _run_text(name: str, columns: list[str], title: str) -> str:
-    """Return a text with the *columns* of the table *name* and their seed scenes, which are in *title*."""
-    titles = ", ".join(policy_row(column).title for column in columns)
-    return f"{titles}: {title.partition(': ')[2]} ([CSV](tables/{name}.csv))"
+def _runs_text(shown: Mapping[str, list[str]], scenes: Mapping[str, str]) -> str:
+    """Return the *scenes* and a link for each table, with the titles of its columns *shown*."""
+    links = {
+        name: f"[{', '.join(policy_row(column).title for column in columns)}](tables/{name}.csv)"
+        for name, columns in shown.items()
+    }
+    if len(set(scenes.values())) == 1:
+        return f"{next(iter(scenes.values()))}; CSV: {'; '.join(links.values())}"
+    return "; ".join(f"{link}: {scenes[name]}" for name, link in links.items())
 
 
 def _lines(names: list[str], which: str) -> list[dict[str, str]]:

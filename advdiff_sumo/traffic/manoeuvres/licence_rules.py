@@ -32,6 +32,7 @@ _CROSSING_CHECK_STEPS = {
 _CROSSED_STEPS = 15  # a crossing must obey the lines that it passes within these steps
 _SET_UP_STEPS = 3  # a vehicle that gets into position is planned anew after these steps
 _STOPS_MPS2 = 3.0
+_LATER_S = 1.0  # who changes lanes brakes only once it is over the line
 
 
 def lawful_mask(
@@ -89,7 +90,8 @@ def _is_lawful(
     if manoeuvre.is_positioning:  # it is planned anew at once, and can still stop
         lines_within_m = min(driven_m, set_up_m + set_up_mps**2 / (2.0 * _STOPS_MPS2))
     if licence is not None and not (
-        _respects_links(view, manoeuvre, lines_within_m, licence)
+        (begun or _road_goes_on(view, manoeuvre, driven_m))
+        and _respects_links(view, manoeuvre, lines_within_m, licence)
         and _stops_outside_junctions(manoeuvre, driven_m)
         and _leaves_gaps(view, manoeuvre, licence)
     ):
@@ -127,6 +129,17 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
     if view.is_red(target_link):
         return view.signal(own_link) in GREEN
     return view.yields_to(target_link, own_link) and not (own_link.must_wait and not view.signal(own_link))
+
+
+def _road_goes_on(view: SituationView, manoeuvre: Manoeuvre, driven_m: float) -> bool:
+    """Return whether its road, such as a lane that joins another, does not end before the manoeuvre does.
+
+    Room is left for braking that begins a little later.
+    """
+    if manoeuvre.kind == "crossing" or manoeuvre.is_positioning:
+        return True
+    needed_m = driven_m + 0.5 * float(view.size(manoeuvre.row)[0]) + _LATER_S * view.speed(manoeuvre.row)
+    return needed_m <= (manoeuvre.goal or manoeuvre.way).lane.end_m
 
 
 def _stops_outside_junctions(manoeuvre: Manoeuvre, driven_m: float) -> bool:

@@ -14,12 +14,13 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.repertoire import AFTER_CUT_IN_MPS2, KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S, SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.ways import settling_offsets_m
-from tests.traffic.manoeuvres.scenes import LENGTH_M, WIDTH_M, view_of
+from tests.traffic.manoeuvres.scenes import LENGTH_M, WIDTH_M, scene_on, view_of
 
 SPEED_MPS, PLANS = 20.0, 12
 
@@ -167,3 +168,18 @@ def test_a_vehicle_that_stands_within_a_lane_change_keeps_its_pose(motorway: Roa
     np.testing.assert_array_equal(xy[0], np.broadcast_to(xy_m[1, -1], xy[0].shape))
     np.testing.assert_array_equal(yaw[0], yaw_rad[1, -1])
     assert abs(view.ways[2].line.project(xy[1, -1])[1]) < 0.01
+
+
+@pytest.mark.parametrize(("speed_mps", "allowed"), [(8.0, True), (14.0, False)])
+def test_nobody_cuts_in_on_a_lane_that_ends_too_soon_for_it(
+    speed_mps: float, allowed: bool, motorway: RoadMap
+) -> None:
+    """From 56 m before the end: 3.1 s and a stop with 5 m/s² take 32 m at 8 m/s, 63 m at 14 m/s, beside the reserve."""
+    lane = next(x for x in motorway.lanes.values() if x.is_drivable and x.left_id and not x.successors)
+    beside = motorway.lanes[lane.left_id]
+    place = lane.length_m - 56.0
+    cars = {"target": (lane, place - 27.0, speed_mps), "other": (beside, place, speed_mps)}
+    view = SituationView.of(motorway, scene_on(cars))
+    changes = [m for m in KINDS["cut-in"](view, 1) if m.goal is not None and m.profile.then_mps2 == -5.0]
+    futures = futures_of_manoeuvres(changes, np.full(len(changes), speed_mps))
+    assert lawful_mask(view, changes, futures).tolist() == [allowed]

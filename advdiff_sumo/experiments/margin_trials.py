@@ -26,7 +26,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.sweep_runner import RemainingJobs, run_sweep
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import WorkerLimits
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
+from advdiff_sumo.traffic.manoeuvres.commitments import CROSSING_ATTACKS
 
 _RETRIES = 1
 
@@ -95,7 +95,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
             raise EpisodeFailure(f"the episode with {scale.text(value)} failed: {reason}; see {self._folder}")
         (row,) = stored.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
-        manoeuvre = "crossing" if attack == ONCOMING else attack  # as which it is recorded
+        manoeuvre = "crossing" if attack in CROSSING_ATTACKS else attack  # as which it is recorded
         met = row["attacker_manoeuvre"] == manoeuvre if failed else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
         states = None if failed or met else states_of(stored.tables["states"])

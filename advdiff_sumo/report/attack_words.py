@@ -15,6 +15,7 @@ _ACTIONS: Mapping[str, str] = {
     "slow-merge": "merge slowly before it",
     "pull-out": "pull out before it",
     "close-pass": "pass it on the lane beside",
+    "short-gaps": "cross its way one after the other",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
     "junction": "cross its way",

@@ -1,4 +1,4 @@
-"""Define planners that are sound, except that they see only the nearest road users."""
+"""Define planners that are sound, except that they do not see some road users, always or for a while."""
 
 from __future__ import annotations
 
@@ -52,3 +52,22 @@ class WithoutMirrors(LaneGraphPlanner):
         hidden = (ahead_m < -1.0) | ((ahead_m < 4.0) & (np.abs(left_m) > 1.5))
         hidden[scene.target] = False
         return super().plan(road, scene.without(hidden & scene.history.valid[:, -1]), memory, rng)
+
+
+class SetsOffWithoutLooking(LaneGraphPlanner):
+    """``lane_graph`` that for 3 s after it has stood sees nobody who heads across its way."""
+
+    def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> Any:
+        """Return the planner's memory, and when it last stood."""
+        return super().start(road, scene, rng), -np.inf
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
+        """Return the plan of a planner that sees only who drives its way."""
+        memory, stood_s = memory
+        if scene.history.speed_mps[scene.target, -1] < 0.3:
+            stood_s = scene.time_s
+        hidden = np.abs(seen_from_target(scene)[1]) > 0.4
+        hidden &= (scene.time_s < stood_s + 3.0) & scene.history.valid[:, -1]
+        hidden[scene.target] = False
+        plan, memory = super().plan(road, scene.without(hidden), memory, rng)
+        return plan, (memory, stood_s)

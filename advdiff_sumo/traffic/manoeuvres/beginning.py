@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.continuation import still_lawful
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, braking_behind
 from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
+from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
 from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import with_braking, with_severity
@@ -42,7 +42,7 @@ def begin(
     free = [r for r in view.movable if r not in busy and memory.rested_s.get(names[r], -1.0) <= now]
     kinds = memory.startable_kinds(view)
     possible = [m for row in free for kind in kinds for m in _PROPOSALS[kind](view, row)]
-    possible = list(filter_oncoming(view, possible, memory.stage.only_oncoming))
+    possible = list(suited_crossings(view, possible, memory.stage))
     possible = [m for m in possible if not (m.is_positioning and names[m.row] in memory.standing.names)]
     adapted = with_severity(view, possible, memory.intensity)
     proposals = [m for m in adapted if is_seen_long_enough(view, m, memory.since_s)]

@@ -14,6 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import SHORT_GAPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
@@ -22,8 +23,10 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraf
 
 ANY_KINDS = tuple(KINDS)
 """Kinds in an episode of "any"; if ``SLOW_ENTRIES`` are added here, these get turns, too."""
-UNPREDICTED_KINDS = (QUEUE, DOUBLE, CLOSE_PASSING, *SLOW_ENTRIES)
+UNPREDICTED_KINDS = (QUEUE, DOUBLE, CLOSE_PASSING, SHORT_GAPS, *SLOW_ENTRIES)
 """Kinds for which no failures are predicted, so that a warm-up learns nothing of them."""
+CROSSING_ATTACKS = (ONCOMING, SHORT_GAPS)
+"""Attacks whose manoeuvres are crossings, and recorded as such."""
 SUPPORT_KINDS = (FOLLOWS, WAITS)
 """Kinds that do not attack."""
 LEADER_KINDS = frozenset(("hard-stop", "blocked-lane", "stop-and-go", DOUBLE))
@@ -161,13 +164,13 @@ class Commitments:
             intensity: prescribed severities.
             preference: for encounters; turns and inserted vehicles follow it too if *attack* is "any".
         """
-        kind = "crossing" if attack == ONCOMING else attack
+        kind = "crossing" if attack in CROSSING_ATTACKS else attack
         slow = () if preference is not None else tuple(entry for entry in SLOW_ENTRIES if entry in ANY_KINDS)
         kinds = [name for name in ANY_KINDS if name in (*KINDS, *slow)] if kind == "any" else [kind]
         weights = dict(zip(kinds, (1.0 - 0.7 * rng.random(len(kinds))).tolist(), strict=True))
         classes = _newcomer_classes(rng, max(staged, 1))
         oncoming = bool(rng.random() < 0.5)
-        stage = StagingMemory(staged, classes, oncoming, attack == ONCOMING, intensity)
+        stage = StagingMemory(staged, classes, oncoming, attack == ONCOMING, attack == SHORT_GAPS, intensity)
         agenda = Agenda.draw(rng, slow) if attack == "any" else Agenda()
         if preference is not None and attack in UNPREDICTED_KINDS:
             preference = None

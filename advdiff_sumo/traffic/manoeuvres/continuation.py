@@ -19,7 +19,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS, still_follows
 from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.oncoming import filter_oncoming
+from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
     CLOSE_PASSING,
@@ -104,7 +104,7 @@ def _remaining_motion(
         if _target_leads(view, row):
             return None  # the target now drives ahead of it, as its leader
         crossings = continued_crossings(view, row)
-        timed = list(filter_oncoming(view, crossings, memory.stage.only_oncoming))
+        timed = list(suited_crossings(view, crossings, memory.stage))
         ranked = rank(view, timed, {"crossing": 1.0}, licence, intensity, begun=True)
         keeps_profile = intensity.is_prescribed_for("crossing") and target_brakes(view)
         if ranked and not keeps_profile and not (ranked[0].needed_mps2 == 0.0 and _target_stands(view)):

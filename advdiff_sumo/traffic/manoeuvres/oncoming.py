@@ -1,4 +1,4 @@
-"""The attack ``oncoming``: crossings only by vehicles that come from ahead, and go straight on or turn.
+"""Crossings of the attacks ``oncoming``, by vehicles from ahead only, and ``short-gaps``, at constant speed.
 
 The manoeuvre is a "crossing", and recorded as one; the column ``approach`` of the records says "oncoming". An archive
 would otherwise count the same encounter under two names.
@@ -13,11 +13,23 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import is_oncoming, turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 
 ONCOMING = "oncoming"
 """Name of the attack."""
 _MAX_SPEED_SHARE = 1.25
 """A vehicle faster than this share of the speed for its bend would have to brake in the bend."""
+
+
+def suited_crossings(
+    view: SituationView, manoeuvres: Iterable[Manoeuvre], stage: StagingMemory
+) -> Iterator[Manoeuvre]:
+    """Yield *manoeuvres* without crossings that *stage* excludes; vehicles of a stream keep their speed."""
+    for manoeuvre in filter_oncoming(view, manoeuvres, stage.only_oncoming):
+        profile = manoeuvre.profile
+        keeps_speed = profile.first_mps2 == 0.0 and profile.then_mps2 == 0.0
+        if keeps_speed or not stage.streams or manoeuvre.kind != "crossing":
+            yield manoeuvre
 
 
 def filter_oncoming(

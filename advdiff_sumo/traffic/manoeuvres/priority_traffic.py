@@ -20,6 +20,10 @@ from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S, TargetW
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 
+SHORT_GAPS = "short-gaps"
+"""Name of the attack by a stream of vehicles with priority, with gaps in which a careful driver does not go."""
+STREAM_GAP_S = 2.2
+"""Time between two vehicles of a stream."""
 REACH_M = 80.0
 """Junctions farther ahead than this are ignored."""
 SLOWEST_TARGET_MPS = 3.0
@@ -98,6 +102,26 @@ def priority_approaches(
                 yield from _arriving_at(view, other, arrivals_s, points[1], limit_share, fastest_mps)
         if is_red:
             return
+
+
+def next_of_stream(view: SituationView, last: int) -> Iterator[Approach]:
+    """Yield a vehicle that comes to the target's next junction ``STREAM_GAP_S`` after *last*, on the same way.
+
+    There is none once *last* is over its stop line, or if the target need not let it pass.
+
+    Args:
+        view: the scene.
+        last: row of the last vehicle of the stream.
+    """
+    target, way = view.target, view.ways.get(last)
+    if target is None or way is None or not way.links or not target.way.links:
+        return
+    (own_line_m, own_link), (line_m, link) = way.links[0], target.way.links[0]
+    points = conflict_points_m(view.road, link, own_link) if own_link in priority_links(view, link) else None
+    if points is None or not 0.0 < line_m < REACH_M or view.is_red(link):
+        return
+    arrives_s = (own_line_m + points[1]) / max(view.speed(last), _SLOWEST_MPS)
+    yield from _arriving_at(view, own_link, (arrives_s + STREAM_GAP_S,), points[1], 1.0, np.inf)
 
 
 def _conflicting_links(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:

@@ -69,6 +69,8 @@ def insert_vehicles(view: SituationView, memory: Commitments) -> tuple[tuple[New
     """
     memory = _update_standing(view, memory)
     busy = {under_way.kind for under_way in memory.active.values() if not under_way.is_positioning}
+    if memory.stage.streams:
+        busy -= {"crossing"}  # the next one of a stream comes while the others cross
     kinds = [kind for kind in memory.insertable_kinds(view) if kind not in busy]
     possible = "crossing" in kinds and is_possible(view, "crossing")
     if memory.agenda.prioritises_crossing and ("crossing" in busy or possible or approaches_yield_line(view)):

@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SLOWEST_TARGET_MPS,
     Approach,
+    next_of_stream,
     priority_approaches,
 )
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
@@ -73,6 +74,7 @@ class StagingMemory:
         classes: classes of the inserted vehicles, in turn.
         oncoming: whether vehicles with priority come from ahead rather than from the side.
         only_oncoming: whether no vehicle with priority comes from the side.
+        streams: whether further vehicles with priority follow the first one at short gaps.
         intensity: prescribed severities.
         count: number of vehicles inserted so far.
         next_try_s: when the next insertion may be tried.
@@ -82,6 +84,7 @@ class StagingMemory:
     classes: tuple[AgentClass, ...] = (AgentClass.CAR,)
     oncoming: bool = False
     only_oncoming: bool = False
+    streams: bool = False
     intensity: Intensity = ANY_SEVERITY
     count: int = 0
     next_try_s: float = 0.0
@@ -229,7 +232,15 @@ def _neighbours(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]
 
 
 def _with_priority(view: SituationView, stage: StagingMemory) -> Iterator[Newcomer]:
-    """Yield vehicles that the target must let pass at its next junction, where they arrive when it does."""
+    """Yield vehicles that the target must let pass at its next junction, where they arrive when it does.
+
+    Those of a stream arrive shortly after one another.
+    """
+    last = view.scene.history.index.get(f"staged-{stage.count - 1}") if stage.streams else None
+    if last is not None:
+        for approach in next_of_stream(view, last):
+            yield Newcomer(approach.way, approach.speed_mps, stage.agent_class)
+        return
     early_s = stage.intensity.early_s
     for approach in priority_approaches(view, stage.oncoming, early_s, stage.only_oncoming):
         yield Newcomer(approach.way, approach.speed_mps, stage.agent_class)

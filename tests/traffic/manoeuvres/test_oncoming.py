@@ -1,7 +1,8 @@
-"""Crossings only by oncoming vehicles: which are inserted, which begin, and how fast they turn."""
+"""Crossings only by oncoming vehicles, and by streams: who is inserted, who begins, and how fast."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,21 @@ import pytest
 
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, filter_oncoming
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import priority_approaches, turn_speed_mps
+from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, filter_oncoming, suited_crossings
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
+    SHORT_GAPS,
+    STREAM_GAP_S,
+    conflict_points_m,
+    next_of_stream,
+    priority_approaches,
+    turn_speed_mps,
+)
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
+from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from tests.planners.encounters import CROSSING, Encounter, Scripted, bending, crossing, over
 from tests.sim.nets import build
 
@@ -107,8 +117,47 @@ def test_no_vehicle_begins_to_turn_too_fast_for_its_bend(
     assert all(m.profile.highest_mps < 6.0 for m in timed)
 
 
-def test_records_call_it_a_crossing() -> None:
-    kept = Commitments.start(ONCOMING, np.random.default_rng(1), staged=6)
+def test_the_next_one_of_a_stream_comes_a_short_gap_after_the_last(sign: RoadMap) -> None:
+    view = before(sign, NORTH, (("west_in", "east_out"), 11.0))
+    (approach,) = next_of_stream(view, 1)
+    (last_line_m, link), (line_m, own_link) = view.ways[1].links[0], approach.way.links[0]
+    assert own_link is link
+    assert view.target is not None
+    points = conflict_points_m(sign, view.target.way.links[0][1], link)
+    assert points is not None
+    after_s = (line_m + points[1]) / approach.speed_mps - (last_line_m + points[1]) / 11.0
+    assert after_s == pytest.approx(STREAM_GAP_S, abs=0.01)
+
+
+def test_no_stream_of_vehicles_that_must_wait_themselves(sign: RoadMap) -> None:
+    """From the south nobody has priority over the main road."""
+    assert not list(next_of_stream(before(sign, STRAIGHT, (NORTH, 11.0)), 1))
+
+
+def test_a_stream_is_inserted_while_its_vehicles_cross(sign: RoadMap) -> None:
+    view = before(sign, NORTH, (("west_in", "east_out"), 11.0))
+    history = replace(view.scene.history, ids=("target", "staged-0"))
+    view = SituationView.of(sign, replace(view.scene, history=history))
+    kept = Commitments.start(SHORT_GAPS, np.random.default_rng(1), staged=6)
+    crosses = Commitment("crossing", SpeedProfile(0.0, 1.0), 0.0, 0.0, False)
+    kept = replace(kept, stage=replace(kept.stage, count=1), active={"staged-0": crosses})
+    (newcomer,), after = insert_vehicles(view, kept)
+    assert (newcomer.name, after.stage.count) == ("staged-1", 2)
+    alone = replace(kept, stage=replace(kept.stage, streams=False))
+    assert insert_vehicles(view, alone)[0] == ()
+
+
+def test_vehicles_of_a_stream_keep_their_speed(sign: RoadMap) -> None:
+    view = before(sign, NORTH, (("west_in", "east_out"), 11.0))
+    crossings = list(KINDS["crossing"](view, 1))
+    assert list(suited_crossings(view, crossings, StagingMemory())) == crossings
+    (steady,) = suited_crossings(view, crossings, StagingMemory(streams=True))
+    assert (steady.profile.first_mps2, steady.profile.then_mps2) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("attack", [ONCOMING, SHORT_GAPS])
+def test_records_call_it_a_crossing(attack: str) -> None:
+    kept = Commitments.start(attack, np.random.default_rng(1), staged=6)
     assert tuple(kept.weights) == ("crossing",)
-    assert kept.stage.only_oncoming
+    assert (kept.stage.only_oncoming, kept.stage.streams) == (attack == ONCOMING, attack == SHORT_GAPS)
     assert not Commitments.start("crossing", np.random.default_rng(1), staged=6).stage.only_oncoming

@@ -72,6 +72,7 @@ def encounters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Encounter]
         "fast": fast,
         "town": town,
         "give_way": Encounter(sign, from_south, north, (), 12.0),
+        "wait": Encounter(sign, from_south, north, (), 16.0),
         "turn_across": Encounter(sign, Scripted(over(sign, *left), 225.0, 11.0), left, (), 12.0),
         "red_light": Encounter(light, Scripted(over(light, *north), 190.0, 12.0), north, (), 14.0),
         "beside": beside,
@@ -134,3 +135,19 @@ def test_a_planner_that_overtakes_without_a_look_to_the_side_moves_into_a_vehicl
     assert row["lawful"]
     assert row["target_breaches"] == "sideways"
     assert not drive(encounters["beside"], "hard-stop", [], SEED, blind)["target_collision"]
+
+
+@pytest.mark.slow
+def test_a_planner_that_sets_off_from_a_line_without_a_look_takes_a_short_gap(
+    encounters: dict[str, Encounter], sound: Any
+) -> None:
+    for target in ("lane_graph", "careful"):
+        row = sound("wait", "short-gaps", SEED, target)
+        assert row["in_position"]
+        assert not row["target_collision"]
+    hasty = "tests.planners.narrow_planners:SetsOffWithoutLooking"
+    row = drive(encounters["wait"], "short-gaps", [], SEED, hasty)
+    assert failed(row)
+    assert row["lawful"]
+    assert row["target_breaches"] == "right_of_way"
+    assert not drive(encounters["wait"], "crossing", [], SEED, hasty)["target_collision"]

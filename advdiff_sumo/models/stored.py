@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.weights_formats import of_another_format
@@ -32,7 +32,8 @@ def write_stored(
     }
     with whole_file(path) as aside:
         # a single key: safetensors writes several keys in an order that varies from run to run
-        save_file(arrays, str(aside), metadata={_HEADER: json.dumps(dict(header), sort_keys=True)})
+        # bytes: a file that safetensors makes itself, only its owner can read
+        aside.write_bytes(save(arrays, metadata={_HEADER: json.dumps(dict(header), sort_keys=True)}))
 
 
 def read_stored(

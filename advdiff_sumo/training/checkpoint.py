@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as tensor_bytes
 from torch import Tensor
 
 from advdiff_sumo.core.errors import WeightsError
@@ -69,7 +69,8 @@ def save(folder: Path, progress: TrainingProgress, groups: Mapping[str, Mapping[
     try:
         with whole_file(folder / NAME) as aside:
             # a single key: safetensors writes several keys in an order that varies from run to run
-            save_file(tensors, aside, metadata={_HEADER: json.dumps(header, sort_keys=True)})
+            # bytes: a file that safetensors makes itself, only its owner can read
+            aside.write_bytes(tensor_bytes(tensors, metadata={_HEADER: json.dumps(header, sort_keys=True)}))
     except (OSError, SafetensorError) as error:
         raise WeightsError(folder / NAME, f"cannot be written ({error})") from None
 

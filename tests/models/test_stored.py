@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.core.weights_formats import CONTENTS
@@ -38,3 +40,13 @@ def test_what_nobody_knows_keeps_its_remedy(tmp_path: Path) -> None:
     write_stored(path, {}, {"format": "advdiff-simnet-0"})
     with pytest.raises(WeightsError, match=r"is not of the format advdiff-simnet-1; train it again"):
         load_simnet(path)
+
+
+def test_others_may_read_weights_and_checkpoints_as_any_file(tmp_path: Path) -> None:
+    plain = tmp_path / "plain.json"
+    plain.write_text("{}")
+    write_stored(tmp_path / "weights.safetensors", {"a": np.ones(2)}, {"format": "advdiff-bundle-1"})
+    checkpoint.save(tmp_path, checkpoint.TrainingProgress("traffic", {}, ""), {"model": {"a": torch.ones(2)}})
+    assert {file.name: file.stat().st_mode for file in tmp_path.iterdir()} == dict.fromkeys(
+        ("plain.json", "weights.safetensors", checkpoint.NAME), plain.stat().st_mode
+    )

@@ -77,10 +77,12 @@ def _check_writable(out: Path) -> None:
 
     Raises:
         ConfigError: its name does not end in ``.safetensors``.
-        FileError: its folder does not exist or cannot be written into.
+        FileError: it is a folder, or its folder does not exist or cannot be written into.
     """
     if out.suffix != ".safetensors":
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")
+    if out.is_dir():
+        raise FileError(out, "is a folder", "name a file in --out")
     if not out.parent.is_dir():
         raise FileError(out.parent, "no such folder", "make it, or choose another --out")
     if not os.access(out.parent, os.W_OK):

@@ -74,6 +74,7 @@ def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
     [
         (("--out", "q.pt"), "q.pt: give a name that ends in .safetensors"),
         (("--out", "none/q.safetensors"), "none: no such folder"),
+        (("--out", "folder.safetensors"), "folder.safetensors: is a folder; name a file in --out"),
         (("--out", "q.safetensors", "--weights", "none.safetensors"), "none.safetensors: no such file"),
         (
             ("--out", "q.safetensors", "--weights", "small.safetensors", "--strength", "0"),
@@ -84,4 +85,5 @@ def test_warm_up_and_its_reward_model(weights: Path, tmp_path: Path) -> None:
 def test_an_impossible_warm_up_is_refused(
     weights: Path, tmp_path: Path, words: tuple[str, ...], said: str
 ) -> None:
+    (tmp_path / "folder.safetensors").mkdir()
     assert said in sentence(advdiff("warmup", "--licence", "reckless", *words, cwd=tmp_path))

@@ -31,12 +31,14 @@ def worker_context(modules: Iterable[str]) -> BaseContext:
     """
     if FORK_SERVER not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
+    from multiprocessing import resource_tracker
     from multiprocessing.forkserver import ensure_running  # not available on every system
 
     from advdiff_sumo.core.fork_server import SharedContext
 
     context = SharedContext()
     context.set_forkserver_preload([module for module in modules if module != "__main__"])
+    resource_tracker.ensure_running()  # the fork server starts it, too, and that unblocks SIGINT
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         ensure_running()

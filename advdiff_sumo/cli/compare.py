@@ -19,6 +19,7 @@ from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
+    from advdiff_sumo.experiments.folder_rows import FolderRows
     from advdiff_sumo.sweep.paired import Comparison
     from advdiff_sumo.sweep.summary_stats import Row
 
@@ -75,7 +76,6 @@ def compare(
     _change_low, _change_high, and _p.
     """
     from advdiff_sumo.cli.sweep_results import CONDITION_MET, condition_met  # late: --help is quick
-    from advdiff_sumo.experiments.folder_rows import rows_of_folder
     from advdiff_sumo.sweep.condition import Condition
     from advdiff_sumo.sweep.paired import COMPARED_NAMES, NothingFinishedError, choose
 
@@ -83,7 +83,7 @@ def compare(
     sides, episodes = [], []
     try:
         for letter, folder, conditions in (("A", first, choose_a or []), ("B", second, choose_b or [])):
-            rows = rows_of_folder(folder)
+            rows = _rows(folder)
             episodes.append(choose(rows.episodes, conditions, f"--{letter.lower()}"))
             sides.append(_Side(letter, folder, conditions, rows.of_run))
         comparison = _paired(episodes, sides)
@@ -106,6 +106,20 @@ def compare(
     if comparison.unpaired and not condition.names & {"unpaired", "pairs"}:
         note = f"note: {_unpaired_text(comparison)}, which --fail-if does not ask about"
         terminal(stderr=True).print(f'{note}; add "or unpaired > 0"', style="yellow", soft_wrap=True)
+
+
+def _rows(folder: Path) -> FolderRows:
+    """Return the rows of *folder*; a note tells how to run the episodes that are missing."""
+    from advdiff_sumo.experiments.folder_rows import rows_of_folder  # late, as above
+    from advdiff_sumo.sweep.paired import NothingFinishedError
+
+    rows = rows_of_folder(folder)
+    if not rows.episodes:
+        why = rows.how_to_go_on if rows.missing else "its failures say why"
+        raise NothingFinishedError(f"{folder}: has no episode with results; {why}")
+    if rows.missing:
+        terminal(stderr=True).print(f"note: {folder}: {rows.how_to_go_on}", style="yellow", soft_wrap=True)
+    return rows
 
 
 def _paired(episodes: Sequence[Sequence[Row]], sides: Sequence[_Side]) -> Comparison:

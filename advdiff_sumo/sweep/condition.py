@@ -29,6 +29,8 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: operator.truediv,
 }
 _MAX_LENGTH = 500
+_EXAMPLE = "valid_failure_rate > 0 and episodes >= 100"
+_EXAMPLE_OF_PAIRS = "valid_failure_rate_only_b > 0 or unpaired > 0"
 
 
 class Undefined(Exception):  # noqa: N818 - a figure without a sample, not a fault
@@ -55,7 +57,7 @@ class Condition:
         try:
             self._tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise _refused(text, "is no condition") from None
+            raise _refused(text, names, "is no condition") from None
         _must_be_condition(self._tree, text, names)
         self.names = _names(self._tree)
 
@@ -94,7 +96,7 @@ def _must_be_condition(node: ast.AST, text: str, names: frozenset[str]) -> None:
         for part in (node.left, *node.comparators):
             _must_be_number(part, text, names)
     else:
-        raise _refused(text, "compares nothing")
+        raise _refused(text, names, "compares nothing")
 
 
 def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
@@ -106,11 +108,11 @@ def _must_be_number(node: ast.AST, text: str, names: frozenset[str]) -> None:
         _must_be_number(node.left, text, names)
         _must_be_number(node.right, text, names)
         if isinstance(node.op, ast.Div) and not _names(node.right) and _value(node.right, {}) == 0:
-            raise _refused(text, "divides by zero")
+            raise _refused(text, names, "divides by zero")
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         _must_be_number(node.operand, text, names)
     elif not (isinstance(node, ast.Constant) and type(node.value) in (int, float)):
-        raise _refused(text, "holds something that is neither a figure nor a number")
+        raise _refused(text, names, "holds something that is neither a figure nor a number")
 
 
 def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
@@ -135,8 +137,7 @@ def _value(node: Any, figures: Mapping[str, float | None]) -> Any:
     return figure
 
 
-def _refused(text: str, problem: str) -> ConfigError:
-    """Return the error for a text that is no valid condition."""
-    return ConfigError(
-        f"--fail-if {text}: {problem}; write it like valid_failure_rate > 0 and episodes >= 100"
-    )
+def _refused(text: str, names: frozenset[str], problem: str) -> ConfigError:
+    """Return the error for a text that is no valid condition, with an example that uses figures among *names*."""
+    example = _EXAMPLE_OF_PAIRS if "pairs" in names else _EXAMPLE
+    return ConfigError(f"--fail-if {text}: {problem}; write it like {example}")

@@ -135,27 +135,31 @@ def choose(rows: Sequence[Row], conditions: Sequence[str], what: str) -> list[Ro
         ConfigError: a column does not exist, or no row is left.
     """
     chosen = list(rows)
-    for condition in conditions:
-        column, equals, value = condition.partition("=")
-        meant = next(
-            (name for name in _CELL_COLUMNS if any(row.get(name) == condition for row in rows)), None
-        )
-        if not equals and meant is not None:
-            raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; did you mean {meant}={condition}?")
-        if rows and (not equals or column not in rows[0]):
-            raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; {did_you_mean(column, rows[0])}")
+    for condition in conditions if rows else ():
+        column, value = _column_and_value(condition, rows, what)
         values = {str(row[column]) for row in chosen}
         chosen = [row for row in chosen if str(row[column]) == value]
-        if values and not chosen:
+        if not chosen:
             problem = "none of its episodes is so"
             raise ConfigError(f"{what} {condition}: {problem}; {did_you_mean(value, values)}")
-    if not rows:
-        raise NothingFinishedError(
-            f"the {_SIDE_NAMES[what]} has no episode with results; its failures say why"
-        )
-    if not chosen:
-        raise ConfigError(f"{what} {' '.join(conditions)}: none of its episodes is so")
     return chosen
+
+
+def _column_and_value(condition: str, rows: Sequence[Row], what: str) -> tuple[str, str]:
+    """Return the parts of the *condition* ``column=value`` on a column of *rows*, of which there is one at least."""
+    column, equals, value = condition.partition("=")
+    if equals and column in rows[0]:
+        return column, value
+    if equals:
+        raise ConfigError(f"{what} {condition}: no such column; {did_you_mean(column, rows[0])}")
+    meant = next((name for name in _CELL_COLUMNS if any(row.get(name) == condition for row in rows)), None)
+    if meant is not None:
+        remedy = f"did you mean {meant}={condition}?"
+    elif column in rows[0]:
+        remedy = f"such as {shlex.quote(f'{column}={rows[0][column]}')}"
+    else:
+        remedy = did_you_mean(column, rows[0])
+    raise ConfigError(f"{what} {condition}: expected COLUMN=VALUE; {remedy}")
 
 
 def compare(first: Sequence[Row], second: Sequence[Row], seed: int = 0) -> Comparison:

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.sweep.condition import Condition, Undefined
+from advdiff_sumo.sweep.paired import COMPARED_NAMES
+from advdiff_sumo.sweep.summary_stats import FIGURE_NAMES
 
 NAMES = frozenset({"collision_rate", "episodes", "median_min_ttc_s"})
 FIGURES = {"collision_rate": 0.1, "episodes": 40.0, "median_min_ttc_s": None}
@@ -57,6 +59,13 @@ def test_anything_else_is_refused(text: str, word: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Condition(text, NAMES)
     assert word in str(caught.value)
+
+
+def test_the_example_uses_figures_of_the_verb() -> None:
+    with pytest.raises(ConfigError, match="write it like valid_failure_rate > 0 and episodes >= 100"):
+        Condition("true", FIGURE_NAMES)
+    with pytest.raises(ConfigError, match="write it like valid_failure_rate_only_b > 0 or unpaired > 0"):
+        Condition("true", COMPARED_NAMES)
 
 
 def test_an_undefined_figure_is_not_false() -> None:

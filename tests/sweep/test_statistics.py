@@ -258,8 +258,10 @@ def test_what_cannot_be_paired_is_refused(first: list[Any], second: list[Any], w
 def test_rows_are_chosen_by_column() -> None:
     rows = [row(0), row(1, target="ACC"), row(2, target="ACC", number=7)]
     assert [r["episode"] for r in choose(rows, ["target=ACC", "number=7"], "--a")] == [2]
-    with pytest.raises(ConfigError, match="did you mean 'target'"):
+    with pytest.raises(ConfigError, match="--a tarket=ACC: no such column; did you mean 'target'"):
         choose(rows, ["tarket=ACC"], "--a")
+    with pytest.raises(ConfigError, match=r"--a number: expected COLUMN=VALUE; such as number=0$"):
+        choose(rows, ["number"], "--a")
     with pytest.raises(ConfigError, match="none of its episodes is so"):
         choose(rows, ["target=W99"], "--a")
     with pytest.raises(ConfigError, match="--a target=AC: none of its episodes is so; did you mean 'ACC'"):

@@ -11,6 +11,7 @@ import typer
 
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.core.errors import (
+    AdvdiffError,
     ConfigError,
     FileError,
     MissingExtraError,
@@ -18,10 +19,12 @@ from advdiff_sumo.core.errors import (
     UnknownNameError,
     os_reason,
 )
+from advdiff_sumo.core.plug_in_source import described, raised_at
 
 if TYPE_CHECKING:
     from advdiff_sumo.export import Exporter, ExportScene
 
+_OUR_PACKAGE = "advdiff_sumo."
 _console = terminal(highlight=False, soft_wrap=True)
 
 
@@ -86,12 +89,33 @@ def _write(scene: ExportScene, exporters: Sequence[Exporter], folder: Path) -> t
         folder.mkdir(parents=True, exist_ok=True)
         for exporter in exporters:
             try:
-                written += exporter.write(scene, folder)
+                written += _files_of(exporter, scene, folder)
             except (ConfigError, MissingExtraError) as error:
                 refused.append(str(error))
     except OSError as error:
         raise FileError(folder, f"cannot be written ({os_reason(error)})", "choose another --out") from None
     return written, refused
+
+
+def _files_of(exporter: Exporter, scene: ExportScene, folder: Path) -> Sequence[Path]:
+    """Return the files that *exporter* writes.
+
+    Raises:
+        ConfigError: it cannot hold the scene or, a user's own, raised something else or returned no paths.
+    """
+    name = f"{type(exporter).__module__}:{type(exporter).__qualname__}"
+    try:
+        files: object = exporter.write(scene, folder)  # by a user's own, anything
+    except (AdvdiffError, OSError):
+        raise
+    except Exception as error:  # a user's exporter may raise anything; a traceback shows faults of our own
+        if name.startswith(_OUR_PACKAGE):
+            raise
+        told = f"{described(error)}{raised_at(error, exporter)}"
+        raise ConfigError(f"format '{name}' raised {told}; correct it") from error
+    if isinstance(files, tuple | list) and all(isinstance(file, Path) for file in files):
+        return files
+    raise ConfigError(f"format '{name}' returned {files!r} from write; it must return a tuple of paths")
 
 
 def scene_of(folder: Path, episode: int | None) -> ExportScene:

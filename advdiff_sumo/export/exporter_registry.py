@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
+from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.plug_in_source import described, raised_at
 from advdiff_sumo.export.exporter_protocol import Exporter
 from advdiff_sumo.plugins import Registry, must_have
 
@@ -29,10 +31,16 @@ def make_exporter(name: str) -> Exporter:
 
     Raises:
         UnknownNameError: no such format; the message suggests the nearest name.
-        ConfigError: the class cannot be imported or is no exporter.
+        ConfigError: the class cannot be imported or made, or is no exporter.
     """
     canonical = EXPORTERS.canonical(name)
     factory = EXPORTERS.load(canonical)
-    exporter = factory() if callable(factory) else factory
+    try:
+        exporter = factory() if callable(factory) else factory
+    except Exception as error:  # a user's class may raise anything
+        place = raised_at(error, None)
+        raise ConfigError(
+            f"format '{canonical}' cannot be made: {described(error)}{place}; correct it"
+        ) from error
     must_have(f"format '{canonical}' is no exporter: it", exporter, ("write", "read"))
     return cast("Exporter", exporter)

@@ -109,7 +109,7 @@ def build(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="Logs of nuScenes, ScenarioNet, Argoverse 2 or CommonRoad, or folders of runs.",
+            help="Logs of nuScenes, ScenarioNet, Argoverse 2 or CommonRoad, or folders of runs and sweeps.",
         ),
     ],
     out: Annotated[

@@ -53,6 +53,18 @@ def test_an_episode_is_a_drive_of_the_target(tmp_path: Path) -> None:
     assert [scene.tracks.steps for scene in reader.scenes()] == [11, 3]
 
 
+def test_an_episode_of_a_sweep_has_its_own_net(tmp_path: Path) -> None:
+    folder = write(tmp_path / "mine", ROWS)
+    (folder / "run.toml").rename(folder / "sweep.toml")
+    nets = [{"episode": 0, "net": "motorway"}, {"episode": 1, "net": "downtown"}]
+    pq.write_table(pa.Table.from_pylist(nets), folder / "episodes.parquet")
+    assert RunReader(folder).read("mine-0000").location == "motorway"
+    with pytest.raises(
+        LogError, match=r"episodes.parquet: does not say which net the run had \(2\); give the f"
+    ):
+        RunReader(folder).read("mine-0002")
+
+
 def test_an_unknown_episode_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="mine-0002"):
         RunReader(write(tmp_path / "mine", ROWS)).read("mine-0003")

@@ -55,7 +55,7 @@ class LogNets:
             if fits(road, drive):
                 return road
         if isinstance(reader, RunReader) and not self.given:
-            return self._read(find_net(reader.net))
+            return self._read(find_net(drive.location))
         if self.converted is None:
             raise NoNetError(_NO_NET)
         source = _map_of(drive, reader)

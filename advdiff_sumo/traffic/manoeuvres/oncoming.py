@@ -24,27 +24,21 @@ _MAX_SPEED_SHARE = 1.25
 def suited_crossings(
     view: SituationView, manoeuvres: Iterable[Manoeuvre], stage: StagingMemory
 ) -> Iterator[Manoeuvre]:
-    """Yield *manoeuvres* without crossings that *stage* excludes; vehicles of a stream keep their speed."""
-    for manoeuvre in filter_oncoming(view, manoeuvres, stage.only_oncoming):
-        profile = manoeuvre.profile
-        keeps_speed = profile.first_mps2 == 0.0 and profile.then_mps2 == 0.0
-        if keeps_speed or not stage.streams or manoeuvre.kind != "crossing":
+    """Yield *manoeuvres* without the crossings that *stage* excludes.
+
+    Vehicles that turn are as slow as their bend asks for; those of a stream keep their speed.
+    """
+    for manoeuvre in manoeuvres:
+        links = crossing_links(view, manoeuvre.row) if manoeuvre.kind == "crossing" else None
+        if links is None:
             yield manoeuvre
-
-
-def filter_oncoming(
-    view: SituationView, crossings: Iterable[Manoeuvre], only_oncoming: bool
-) -> Iterator[Manoeuvre]:
-    """Yield those of *crossings* that come from ahead, no faster than their bends allow; all if not *only_oncoming*."""
-    if not only_oncoming:
-        yield from crossings
-        return
-    for manoeuvre in crossings:
-        links = crossing_links(view, manoeuvre.row)
-        if links is None or not is_oncoming(view, links[1], links[0]):
+            continue
+        profile = manoeuvre.profile
+        is_excluded = stage.only_oncoming and not is_oncoming(view, links[1], links[0])
+        changes_speed = profile.first_mps2 != 0.0 or profile.then_mps2 != 0.0
+        if is_excluded or (stage.streams and changes_speed):
             continue
         turn_mps = turn_speed_mps(view.road, links[0])
-        profile = manoeuvre.profile
         if view.speed(manoeuvre.row) <= _MAX_SPEED_SHARE * turn_mps:
             highest_mps = min(profile.highest_mps, turn_mps)
             yield replace(manoeuvre, profile=replace(profile, highest_mps=highest_mps))

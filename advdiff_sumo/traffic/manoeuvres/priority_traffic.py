@@ -62,6 +62,8 @@ def priority_approaches(
 ) -> Iterator[Approach]:
     """Yield vehicles that have priority over the target at its next junctions and would meet it there, best first.
 
+    Those that turn come only where none goes straight on, and are no faster than their bend asks for.
+
     The target is assumed not to respond. There are none for a target that is slow, waits behind another vehicle, or is
     too near to yield: at its stop line or, to oncoming traffic, before the conflict point.
 
@@ -69,8 +71,7 @@ def priority_approaches(
         view: the scene.
         oncoming: whether oncoming vehicles are preferred to those from the sides.
         early_s: how long before the target they arrive; None: at about the same time.
-        from_ahead_only: whether only oncoming vehicles are wanted. Turning ones come only if none goes straight on, and
-            no faster than their bend allows.
+        from_ahead_only: whether only oncoming vehicles are wanted.
     """
     target = view.target
     if target is None or target.speed_mps < SLOWEST_TARGET_MPS:
@@ -98,8 +99,7 @@ def priority_approaches(
                 offsets_s = usual_offsets_s if early_s is None else (-early_s,)
                 arrivals_s = [meets_s + offset_s for offset_s in offsets_s]
                 limit_share = _LIMIT_SHARE_AT_RED if is_red else 1.0
-                fastest_mps = turn_speed_mps(view.road, other) if from_ahead_only else np.inf
-                yield from _arriving_at(view, other, arrivals_s, points[1], limit_share, fastest_mps)
+                yield from _arriving_at(view, other, arrivals_s, points[1], limit_share)
         if is_red:
             return
 
@@ -121,16 +121,16 @@ def next_of_stream(view: SituationView, last: int) -> Iterator[Approach]:
     if points is None or not 0.0 < line_m < REACH_M or view.is_red(link):
         return
     arrives_s = (own_line_m + points[1]) / max(view.speed(last), _SLOWEST_MPS)
-    yield from _arriving_at(view, own_link, (arrives_s + STREAM_GAP_S,), points[1], 1.0, np.inf)
+    yield from _arriving_at(view, own_link, (arrives_s + STREAM_GAP_S,), points[1], 1.0)
 
 
 def _conflicting_links(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
-    """Return the links that have priority over *link*, the preferred ones first."""
-    links = sorted(priority_links(view, link), key=lambda other: _preference(view, link, other, oncoming))
-    if not from_ahead_only:
-        return links
-    ahead = [other for other in links if is_oncoming(view, link, other)]
-    return [other for other in ahead if other.direction == "s"] or ahead
+    """Return the links that have priority over *link*, straight ones if there are any, the preferred direction first."""
+    links = [
+        other for other in priority_links(view, link) if not from_ahead_only or is_oncoming(view, link, other)
+    ]
+    links = [other for other in links if other.direction == "s"] or links
+    return sorted(links, key=lambda other: is_oncoming(view, link, other) is not oncoming)
 
 
 def _stop_distance_m(target: TargetWay) -> float:
@@ -165,11 +165,6 @@ def _may_go(view: SituationView, link: Link) -> bool:
     return view.signal(link) == PROTECTED_GREEN or (not view.signal(link) and not link.must_wait)
 
 
-def _preference(view: SituationView, link: Link, other: Link, oncoming: bool) -> tuple[bool, bool]:
-    """Return a sort key, lowest for the preferred direction and for links that go straight on."""
-    return is_oncoming(view, link, other) is not oncoming, other.direction != "s"
-
-
 def is_oncoming(view: SituationView, link: Link, other: Link) -> bool:
     """Return whether vehicles on *other* come to the junction head-on to those on *link*."""
     own_yaw, other_yaw = (
@@ -199,8 +194,8 @@ def _points_over(road: RoadMap, link: Link) -> FloatArray:
 
 
 def turn_speed_mps(road: RoadMap, link: Link) -> float:
-    """Return the highest speed over the junction on *link*, by the limits and bends of its lanes."""
-    lanes = [road.lanes[name] for name in link.via]
+    """Return the highest speed over the junction on *link*, by the limits and bends of its lanes; inf straight on."""
+    lanes = [road.lanes[name] for name in link.via if link.direction != "s"]
     return min((min(lane.speed_mps, bend_mps(lane)) for lane in lanes), default=np.inf)
 
 
@@ -210,14 +205,14 @@ def _arriving_at(
     arrivals_s: Sequence[float],
     conflict_m: float,
     limit_share: float,
-    fastest_mps: float,
 ) -> Iterator[Approach]:
     """Yield vehicles that are *conflict_m* beyond the stop line of *link* at one of *arrivals_s*.
 
-    They drive at *limit_share* of the limit, at most 12 m/s or *fastest_mps*, and more slowly on too short a road.
+    They drive at *limit_share* of the limit, at most 12 m/s, where they turn as slowly as the bend asks for, and more
+    slowly on too short a road.
     """
     lane_mps = view.road.lanes[link.from_lane].speed_mps
-    limit = min(limit_share * min(lane_mps, _FASTEST_MPS / limit_share), fastest_mps)
+    limit = min(limit_share * min(lane_mps, _FASTEST_MPS / limit_share), turn_speed_mps(view.road, link))
     upstream = _upstream(view, link)
     upstream_m = sum(lane.length_m for lane in upstream)
     for arrival_s in arrivals_s:

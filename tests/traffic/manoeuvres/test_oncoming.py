@@ -11,7 +11,7 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, filter_oncoming, suited_crossings
+from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, suited_crossings
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SHORT_GAPS,
     STREAM_GAP_S,
@@ -28,6 +28,7 @@ from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 from tests.planners.encounters import CROSSING, Encounter, Scripted, bending, crossing, over
 from tests.sim.nets import build
 
+FROM_AHEAD = StagingMemory(only_oncoming=True)
 LEFT, NORTH, STRAIGHT = ("west_in", "north_out"), ("south_in", "north_out"), ("west_in", "east_out")
 
 
@@ -92,27 +93,28 @@ def test_vehicles_on_a_bending_main_road_are_as_slow_as_the_bend(bend: RoadMap) 
     assert turn_speed_mps(bend, link) == pytest.approx(4.75, abs=0.6)
     assert max(approach.speed_mps for approach in approaches) <= turn_speed_mps(bend, link)
     straight = next(x for x in bend.lanes["east_in_0"].successors if x.direction == "s")
-    assert turn_speed_mps(bend, straight) == pytest.approx(13.89)
+    assert turn_speed_mps(bend, straight) == np.inf
 
 
 def test_only_oncoming_vehicles_begin(sign: RoadMap) -> None:
     ahead = before(sign, LEFT, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](ahead, 1))
     assert crossings
-    assert list(filter_oncoming(ahead, crossings, only_oncoming=True)) == crossings
+    assert list(suited_crossings(ahead, crossings, FROM_AHEAD)) == crossings
     aside = before(sign, NORTH, (("east_in", "west_out"), 11.0))
     crossings = list(KINDS["crossing"](aside, 1))
     assert crossings
-    assert list(filter_oncoming(aside, crossings, only_oncoming=True)) == []
-    assert list(filter_oncoming(aside, crossings, only_oncoming=False)) == crossings
+    assert list(suited_crossings(aside, crossings, FROM_AHEAD)) == []
+    assert list(suited_crossings(aside, crossings, StagingMemory())) == crossings
 
 
 @pytest.mark.parametrize(("speed_mps", "begins"), [(5.0, True), (11.0, False)])
+@pytest.mark.parametrize("stage", [FROM_AHEAD, StagingMemory()])
 def test_no_vehicle_begins_to_turn_too_fast_for_its_bend(
-    speed_mps: float, begins: bool, bend: RoadMap
+    stage: StagingMemory, speed_mps: float, begins: bool, bend: RoadMap
 ) -> None:
     view = before(bend, STRAIGHT, (("east_in", "south_out"), speed_mps))
-    timed = list(filter_oncoming(view, KINDS["crossing"](view, 1), only_oncoming=True))
+    timed = list(suited_crossings(view, KINDS["crossing"](view, 1), stage))
     assert bool(timed) == begins
     assert all(m.profile.highest_mps < 6.0 for m in timed)
 

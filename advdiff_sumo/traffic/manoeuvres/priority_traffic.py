@@ -125,7 +125,7 @@ def next_of_stream(view: SituationView, last: int) -> Iterator[Approach]:
 
 
 def _conflicting_links(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
-    """Return the links that have priority over *link*, straight ones if there are any, the preferred direction first."""
+    """Return the links that have priority over *link*, if any go straight on only these, the preferred ones first."""
     links = [
         other for other in priority_links(view, link) if not from_ahead_only or is_oncoming(view, link, other)
     ]

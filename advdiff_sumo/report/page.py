@@ -93,16 +93,18 @@ def report_html(run: FinishedRun) -> str:
 
 
 def own_modules(*options: Mapping[str, Any]) -> list[str]:
-    """Return the files of users' own targets and backgrounds; they must be importable to repeat a run.
+    """Return the files, or the folders of packages, of users' own targets and backgrounds, which a repetition imports.
 
     Args:
         options: of a run, or rows of a sweep's ``episodes``; their "target" and "background" are examined.
     """
     names = (str(named.get(plug_in) or "") for named in options for plug_in in ("target", "background"))
-    modules = (
-        name.partition(":")[0].partition(".")[0] for name in names if ":" in name and not is_remote(name)
+    modules = (name.partition(":")[0].partition(".") for name in names if ":" in name and not is_remote(name))
+    files = (
+        f"{top}/" if inner else f"{top}.py"
+        for top, _, inner in modules
+        if top not in ("advdiff_sumo", "__main__")
     )
-    files = (f"{module}.py" for module in modules if module not in ("advdiff_sumo", "__main__"))
     return list(dict.fromkeys(files))
 
 

@@ -15,7 +15,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.page import write_report
 from tests.hang_guard import HANG_S
 from tests.metrics.encounter_folder import encounter_folder
-from tests.report.conftest import drive, episode, write_folder
+from tests.report.conftest import drive, episode, job, write_folder, write_sweep
 
 _CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: Chromium notes that we look at the canvas often.
@@ -102,6 +102,17 @@ def test_worst_episode_stands_at_its_contact(
     assert "advdiff-sumo replay" in page.inner_text("[data-part=command]")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert page.evaluate("document.querySelectorAll('.plots canvas').length") == 5
+
+
+@pytest.mark.parametrize("size", _SIZES)
+def test_long_names_fit_the_window(look: Callable[..., Any], tmp_path: Path, size: tuple[int, int]) -> None:
+    name = f"{'planner_of_the_highway_team' * 3}.version_3:HighwayPlanner"
+    episodes = [job(episode(0), "IDM", "sumo", "a"), job(episode(1), name, "sumo", "a")]
+    states = [row for number in (0, 1) for row in drive(number, "ego", 405.0, 410.0, 10.0, target=True)]
+    page = look(write_report(write_sweep(tmp_path / "sweep", episodes, states)), size)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    for cell in ("#episodes tbody tr:nth-child(2) td", ".matrix tbody tr:nth-child(2) th"):
+        assert page.locator(cell).first.bounding_box()["width"] < 0.8 * size[0]
 
 
 def test_an_episode_of_one_instant_has_no_charts(look: Callable[..., Any], tmp_path: Path) -> None:

@@ -346,7 +346,7 @@ def test_numbers_as_text() -> None:
 
 
 def test_whose_modules_a_repetition_needs() -> None:
-    assert own_modules({"target": "mine.fast:Planner", "background": "sumo"}) == ["mine.py"]
+    assert own_modules({"target": "mine.fast:Planner", "background": "sumo"}) == ["mine/"]
     assert own_modules({"target": "exec:python server.py", "background": "other:Policy"}) == ["other.py"]
     assert (
         own_modules({"target": "__main__:Planner", "background": "advdiff_sumo.traffic.replay:Replay"}) == []

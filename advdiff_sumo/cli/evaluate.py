@@ -47,7 +47,9 @@ def evaluate(
     everything: Annotated[
         bool, typer.Option("--all", help="All drives, not only those that train holds out.")
     ] = False,
-    held_out: Annotated[float, typer.Option(help="Share of drives held out, as in train.")] = 0.1,
+    held_out: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of drives held out, as in train.")
+    ] = 0.1,
     split_seed: Annotated[int, typer.Option(help="Which ones, as in train.")] = 0,
     windows: Annotated[int, typer.Option(min=0, help="Most windows looked at; 0: all.")] = 512,
     samples: Annotated[int, typer.Option(min=1, help="Joint samples of each scene.")] = 10,

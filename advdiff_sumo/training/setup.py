@@ -112,6 +112,8 @@ def prepare(plan: TrainingRequest) -> TrainingJob:
 
 def _prepared_simnet(plan: TrainingRequest, device: torch.device) -> TrainingJob:
     """Return the training of SimNet, which may start from a bundle's encoder, and has a file format of its own."""
+    if plan.options.codec is not None:
+        raise ConfigError("the stage 'simnet' has no denoiser and so no codec; leave --codec out")
     windows = read_window_set(plan.data)
     seed = SeedTree(plan.seed, ("weights",)).integer()
     init = None if plan.init is None else weights_file(plan.init)

@@ -75,6 +75,12 @@ def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tm
     assert unwritten.out == "", "it is refused before anything is judged"
 
 
+@pytest.mark.parametrize("share", ["-0.1", "2"])
+def test_a_share_of_drives_is_between_0_and_1(share: str, tmp_path: Path) -> None:
+    words = ("evaluate", "--weights", "w", "--data", "d", "--held-out", share)
+    refused(advdiff(*words, cwd=tmp_path), "--held-out", "than or equal to")
+
+
 @pytest.mark.slow
 def test_a_training_can_be_resumed_after_ctrl_c(data: Path, tmp_path: Path) -> None:
     words = ("train", "traffic", "--data", data, "--out", "out", *TINY, "--judge", "0")
@@ -141,6 +147,7 @@ REFUSED = [
     ),
     (("traffic", "--data", "DATA", "--codec", "polar"), ("codec", "'latent' or 'trajectory'")),
     (("traffic", "--data", "DATA", "--preset", "big"), ("preset", "paper, small")),
+    (("simnet", "--data", "DATA", "--codec", "trajectory"), ("'simnet'", "leave --codec out")),
     (("traffic", "--data", "DATA", "--set", "epoch=3"), ("did you mean 'epochs'",)),
     (("traffic", "--data", "DATA", "--set", "epochs=0"), ("epochs = 0",)),
     (("traffic", "--data", "DATA", "--resume"), ("checkpoint", "without --resume")),

@@ -103,13 +103,15 @@ def judge_and_show(
 
 
 def _check_writable(out: Path) -> None:
-    """Raise FileError if *out* is a folder or its folder cannot be used."""
+    """Raise FileError if *out* is a folder, or its folder cannot be used or written into."""
     if out.is_dir():
         raise FileError(out, "is a folder", "name a file in --out, such as figures.json in it")
     try:
         os.scandir(out.parent).close()
     except OSError as error:
         raise FileError(out, f"cannot be written ({os_reason(error)})", "choose another --out") from None
+    if not os.access(out.parent, os.W_OK):
+        raise FileError(out, "cannot be written (its folder is read-only)", "choose another --out")
 
 
 def table(figures: dict[str, Figures]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,16 @@ def test_a_path_that_cannot_be_written_is_refused_first(judge: Any, tmp_path: Pa
         judge(tmp_path / "none" / "figures.json")
     with pytest.raises(FileError, match="is a folder; name a file in --out"):
         judge(tmp_path)
+
+
+def test_a_read_only_folder_is_refused_first(
+    judge: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: not (path == tmp_path and mode == os.W_OK))
+    with pytest.raises(
+        FileError, match=r"cannot be written \(its folder is read-only\); choose another --out"
+    ):
+        judge(tmp_path / "figures.json")
 
 
 def test_judging_begins_if_the_file_can_be_written(judge: Any, tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def simulate(
             show_default="SUMO's drivers alone",
         ),
     ] = "",
-    seed: Annotated[int, typer.Option(help="Random seed; the same one gives the same bytes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same one gives the same bytes.")] = 0,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
 ) -> None:
     """Record natural SUMO traffic with varied drivers, vehicles and nets as training windows.

@@ -42,6 +42,7 @@ def test_simulate_then_stats(tmp_path: Path) -> None:
             "file/w/nets: cannot be made (Not a directory); choose another --out",
         ),
         (("simulate", "--out", "w", "--windows", "0"), "'--windows'"),
+        (("simulate", "--out", "w", "--seed", "-1"), "'--seed'"),
         (("simulate", "--out", "w", "--random-share", "2"), "'--random-share'"),
         (("simulate", "--out", "w", "--driven-by", "no.safetensors"), "no.safetensors: no such file"),
         (("build", "nowhere", "--out", "w"), "nowhere: no such log"),

@@ -79,6 +79,7 @@ class AdversaryEnv(EpisodeEnv):
     the last step has an ``episode_summary``.
 
     Args:
+        render_mode: None, as there is nothing to render.
         options: fields of :class:`~advdiff_sumo.rl.rl_options.AdversaryOptions`.
 
     Raises:
@@ -86,8 +87,8 @@ class AdversaryEnv(EpisodeEnv):
     """
 
     @one_thread()
-    def __init__(self, **options: Any) -> None:
-        super().__init__(FEATURES, LIMIT, ACTIONS)
+    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+        super().__init__(FEATURES, LIMIT, ACTIONS, render_mode)
         self.options = adversary_options(options)
         self._sources = Sources(self.options)
         self._seat = Seat(load_prior(self.options.prior, self.options.prior_weights))

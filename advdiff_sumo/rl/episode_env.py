@@ -33,11 +33,17 @@ class EpisodeEnv(gymnasium.Env[Observation, NDArray[np.float32]], ABC):
         observed: number of features of an observation, each within ± *limit*.
         limit: bound of the features.
         actions: number of values of an action, each within ± 1.
+        render_mode: None, as there is nothing to render.
+
+    Raises:
+        TypeError: another render mode; stable-baselines3 then makes the environment without one.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, observed: int, limit: float, actions: int) -> None:
+    def __init__(self, observed: int, limit: float, actions: int, render_mode: str | None) -> None:
+        if render_mode is not None:
+            raise TypeError(f"render_mode = '{render_mode}': the environment draws no pictures; leave it out")
         self.observation_space = gymnasium.spaces.Box(-limit, limit, (observed,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32)
         self.render_mode = None

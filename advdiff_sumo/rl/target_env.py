@@ -105,6 +105,7 @@ class TargetEnv(EpisodeEnv):
     at the horizon. ``info`` has ``reward_terms`` in every step and ``end`` in the last one.
 
     Args:
+        render_mode: None, as there is nothing to render.
         options: fields of :class:`TargetOptions`.
 
     Raises:
@@ -112,11 +113,11 @@ class TargetEnv(EpisodeEnv):
     """
 
     @one_thread()
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.options = TargetOptions.parse(options, "options of the environment")
         checked = self.options
         size = 2 if checked.action == "controls" else 2 * POINTS
-        super().__init__(OBSERVED, LIMIT, size)
+        super().__init__(OBSERVED, LIMIT, size, render_mode)
         self._run = Run.prepare(
             RunOptions(
                 net=checked.net,

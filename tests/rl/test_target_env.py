@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_training
+from stable_baselines3.common.env_util import make_vec_env
 
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.rl import TARGET_ENVIRONMENT
@@ -49,6 +50,17 @@ def test_it_passes_the_checkers(env: TargetEnv) -> None:
 def test_the_same_seed_gives_the_same_episode(env: TargetEnv) -> None:
     action = np.zeros(env.action_space.shape or (), dtype=np.float32)
     assert walk(env, action) == walk(env, action)
+
+
+@pytest.mark.filterwarnings(
+    "ignore:.*not in the possible render_modes"
+)  # stable-baselines3 asks for pictures first
+def test_stable_baselines_makes_environments_by_name() -> None:
+    made = make_vec_env(f"advdiff_sumo.rl:{TARGET_ENVIRONMENT}", env_kwargs=OPTIONS)
+    seen = made.reset()
+    made.close()
+    assert isinstance(seen, np.ndarray)
+    assert seen.shape == (1, 99)
 
 
 def test_controls_by_hand() -> None:

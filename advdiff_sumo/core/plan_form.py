@@ -12,6 +12,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 
 _MAX_CONTROL_MPS2 = 50.0
+_MAX_INTERVAL_S = 10.0
+"""Greatest interval between the instants of a plan; a greater one is most likely in milliseconds."""
 #: Number of dimensions of each array of a plan.
 _DIMENSIONS = {"accel_mps2": 1, "steer_rad": 1, "xy_m": 2, "yaw_rad": 1, "speed_mps": 1}
 
@@ -95,6 +97,8 @@ def interval_problem(dt_s: Any) -> str:
         return f"is of type {type(dt_s).__name__}, not a number of seconds"
     if not (math.isfinite(dt_s) and dt_s > 0.0):
         return f"is {dt_s}, not a positive number of seconds"
+    if dt_s > _MAX_INTERVAL_S:
+        return f"is {dt_s:g} s, over {_MAX_INTERVAL_S:g} s; give it in seconds, not in milliseconds"
     return ""
 
 

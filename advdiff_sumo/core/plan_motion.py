@@ -33,11 +33,16 @@ def motion_faults(
     farthest = np.maximum(np.abs(speed[1:]), np.abs(speed[:-1])) * dt_s + SLACK_M
     at_lower_speed = np.minimum(speed[1:], speed[:-1]) * dt_s
     least = at_lower_speed - _SHORT_SHARE * np.abs(at_lower_speed) - SLACK_M
+    distance, is_behind = np.hypot(*move.T), forward < least
     accel = np.diff(speed) / dt_s
     slack = SLACK_MPS / dt_s
     faults = [
-        (np.hypot(*move.T) > farthest, "moves farther than its speeds allow"),
-        (forward < least, "moves less far than its speeds say (box centres, from now + dt on)"),
+        (distance > farthest, "moves farther than its speeds allow"),
+        (
+            is_behind & (distance < least),
+            "moves less far than its speeds say (box centres, from now + dt on)",
+        ),
+        (is_behind & (distance >= least), "moves in another direction than it heads (yaw in radians)"),
         (accel > limits.accel_mps2 + slack, f"accelerates by more than {limits.accel_mps2:g} m/s²"),
         (accel < -limits.brake_mps2 - slack, f"brakes by more than {limits.brake_mps2:g} m/s²"),
         (

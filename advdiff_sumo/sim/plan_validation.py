@@ -86,5 +86,5 @@ def _check_jumps(plan: Trajectory, xy_m: FloatArray, owner: str) -> None:
     fastest_mps = float(np.abs(plan.speed_mps).max())
     if fastest_mps > MAX_SPEED_MPS:
         raise PlanRefusedError(
-            f"{owner} planned a speed of {fastest_mps:.0f} m/s, beyond {MAX_SPEED_MPS:g} m/s"
+            f"{owner} planned a speed of {fastest_mps:g} m/s, beyond {MAX_SPEED_MPS:g} m/s"
         )

@@ -101,6 +101,10 @@ CASES: list[tuple[Callable[[Scene, int, np.random.Generator], Any], str]] = [
     (lambda s, _n, _r: (with_values(straight(s), speed_mps=np.zeros(5)), None), "brakes by more"),
     (lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, 2.0)), None), "turns faster"),
     (
+        lambda s, _n, _r: (with_values(straight(s), yaw_rad=np.full(5, 2.0)), None),
+        "step 0 moves in another direction than it heads (yaw in radians)",
+    ),
+    (
         lambda s, n, _r: (with_values(straight(s), speed_mps=np.full(5, 10.0 + 0.01 * n)), None),
         "two different plans",
     ),

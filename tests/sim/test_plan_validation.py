@@ -111,8 +111,8 @@ def test_a_jump_within_the_plan_and_a_speed_beyond_all_cars_are_refused() -> Non
     torn[3:] += 20.0
     with pytest.raises(PlanRefusedError, match="jump"):
         check_plan(replace(plan, xy_m=torn), HERE, 0.5, "it")
-    with pytest.raises(PlanRefusedError):
-        check_plan(replace(plan, speed_mps=np.full(5, 91.0)), HERE, 0.5, "it")
+    with pytest.raises(PlanRefusedError, match=r"a speed of 90\.04 m/s, beyond 90 m/s"):
+        check_plan(replace(plan, speed_mps=np.full(5, 90.04)), HERE, 0.5, "it")
 
 
 ONES, LISTED = np.ones(5), [0.0] * 5
@@ -141,6 +141,7 @@ ONES, LISTED = np.ones(5), [0.0] * 5
         (Controls(np.array(1.0), ONES, 0.1), r"accel_mps2 has shape \(\), not \(T,\)"),
         (Controls(ONES, ONES, 0.0), "dt_s is 0.0, not a positive number of seconds"),
         (Controls(ONES, ONES, -0.1), "dt_s is -0.1, not a positive"),
+        (Controls(ONES, ONES, 500.0), "dt_s is 500 s, over 10 s; give it in seconds, not in milliseconds"),
         (Controls(ONES, ONES, np.nan), "dt_s is nan, not a positive"),
         (Controls(ONES, ONES, "0.1"), "dt_s is of type str, not a number of seconds"),  # type: ignore[arg-type] # as above
         (Trajectory(None, None, None, 0.1), "xy_m is of type NoneType, not a NumPy array"),  # type: ignore[arg-type] # as above

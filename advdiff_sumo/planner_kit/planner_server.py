@@ -27,6 +27,7 @@ DEFAULT_ADDRESS = "localhost:50051"
 #: Key of the traceback of a failed call in the trailing metadata of the reply.
 TRACE_KEY = "advdiff-trace-bin"
 _KEPT_EPISODES, _KEPT_MAPS = 64, 8
+_LARGEST_PORT = 65535
 _MESSAGE_BYTES, _TRACE_BYTES = 500, 4000  # upper limits, as gRPC limits the size of headers
 
 
@@ -151,7 +152,7 @@ def serve(
             default the planner receives a :class:`~advdiff_sumo.planner_kit.kit_road.KitRoad`.
 
     Raises:
-        RuntimeError: the address is in use.
+        RuntimeError: the address is in use, or none of this machine.
     """
     planner_object = planner() if isinstance(planner, type) else planner
     bound_address = address or os.environ.get(ADDRESS_VARIABLE) or DEFAULT_ADDRESS
@@ -161,12 +162,28 @@ def serve(
     with ThreadPoolExecutor(max_workers=1) as executor:  # one worker: one call at a time
         server = grpc.server(executor, options=(*messages.CHANNEL_OPTIONS, ("grpc.so_reuseport", 0)))
         server.add_generic_rpc_handlers((calls.handlers(),))
-        server.add_insecure_port(bound_address)
+        _listen(server, bound_address)
         server.start()
         try:
             server.wait_for_termination()
         except KeyboardInterrupt:
             server.stop(grace=None)
+
+
+def _listen(server: Any, address: str) -> None:
+    """Let *server* listen at *address*.
+
+    Raises:
+        RuntimeError: it cannot; gRPC itself would take a port beyond 65535 modulo 65536.
+    """
+    port = address.rpartition(":")[2]
+    if port.isdigit() and int(port) > _LARGEST_PORT and not address.startswith("unix:"):
+        raise RuntimeError(f"no port {port}: the largest is {_LARGEST_PORT}")
+    try:
+        server.add_insecure_port(address)
+    except RuntimeError:
+        problem = f"cannot listen at {address}: it is in use, or no address of this machine"
+        raise RuntimeError(problem) from None
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ _RECONNECT = (
 )
 
 _UNREADABLE = object()
+_OWN_DEADLINE = "deadline exceeded"
+"""Beginning of gRPC's error for a deadline of this side, in lower case."""
 _TOO_LARGE = "message larger than max"
 """Part of gRPC's error for a message that exceeds the receiver's limit, by default 4 MB."""
 
@@ -84,8 +86,10 @@ class Connection:
         Raises:
             EpisodeFailure: a subclass by the kind of fault.
         """
+        if wait:
+            self._wait(name, timeout_s)
         try:
-            response = self._calls[name](request, timeout=timeout_s, wait_for_ready=wait)
+            response = self._calls[name](request, timeout=timeout_s)
         except grpc.RpcError as error:
             failure = self._failure(name, error, timeout_s)
             trace = dict(error.trailing_metadata() or ()).get(TRACE_KEY, b"")
@@ -93,6 +97,19 @@ class Connection:
         if response is _UNREADABLE:
             raise self._unreadable(name)
         return response
+
+    def _wait(self, name: str, timeout_s: float) -> None:
+        """Wait until a server accepts the channel.
+
+        Raises:
+            PlannerCrashedError: none does within *timeout_s*.
+        """
+        try:
+            grpc.channel_ready_future(self._channel).result(timeout_s)
+        except grpc.FutureTimeoutError:
+            raise PlannerCrashedError(
+                f"{self.who}: no server answered {name} within {timeout_s:g} s"
+            ) from None
 
     def _unreadable(self, name: str) -> EpisodeFailure:
         """Return the failure for a response that cannot be parsed."""
@@ -106,7 +123,7 @@ class Connection:
     def _failure(self, name: str, error: Any, timeout_s: float) -> EpisodeFailure:
         """Return the failure for an error of gRPC."""
         code, details = error.code(), " ".join((error.details() or "").split())
-        if code is grpc.StatusCode.DEADLINE_EXCEEDED:
+        if code is grpc.StatusCode.DEADLINE_EXCEEDED and details.lower().startswith(_OWN_DEADLINE):
             return PlannerTimeoutError(f"{self.who} did not answer {name} within {timeout_s:g} s")
         if code is grpc.StatusCode.RESOURCE_EXHAUSTED and _TOO_LARGE in details:
             return PlannerError(
@@ -118,7 +135,10 @@ class Connection:
         if code is grpc.StatusCode.INVALID_ARGUMENT:
             return PlanRefusedError(f"{self.who}: {details}")
         if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED):
-            return PlannerCrashedError(f"{self.who}: no server answered {name}")
+            reason = (
+                f" ({details})" if details and name != "Describe" else ""
+            )  # there gRPC tells of each address
+            return PlannerCrashedError(f"{self.who}: no server answered {name}{reason}")
         if code is grpc.StatusCode.INTERNAL:
             return PlannerError(f"{self.who} raised {details}")
         return PlannerError(f"{self.who} refused {name}: {code.name} {details}")

@@ -54,6 +54,7 @@ class PlannerProcess:
         self._folder = _socket_folder()
         self._socket, self._log = self._folder / "socket", self._folder / "log"
         self.address = f"unix:{self._socket}"
+        self._shown_bytes = 0
         words = [word.replace(ADDRESS_FIELD, self.address) for word in words]
         try:
             self._keeper = self._started(words)
@@ -102,8 +103,18 @@ class PlannerProcess:
 
     def output(self) -> str:
         """Return the end of its standard output and error."""
-        with contextlib.suppress(OSError):
-            return self._log.read_bytes()[-_TAIL_BYTES:].decode(errors="replace").strip()
+        return self._tail(0)
+
+    def new_output(self) -> str:
+        """Return the end of what it wrote since the last call."""
+        return self._tail(self._shown_bytes)
+
+    def _tail(self, first_byte: int) -> str:
+        """Return the end of its log from *first_byte* on; all of the log then counts as shown."""
+        with contextlib.suppress(OSError), self._log.open("rb") as log:
+            self._shown_bytes = log.seek(0, os.SEEK_END)
+            log.seek(max(first_byte, self._shown_bytes - _TAIL_BYTES))
+            return log.read(_TAIL_BYTES).decode(errors="replace").strip()
         return ""
 
     def trim_log(self) -> None:
@@ -111,6 +122,7 @@ class PlannerProcess:
         with contextlib.suppress(OSError):
             if self._log.stat().st_size > _LOG_BYTES:
                 os.truncate(self._log, 0)
+                self._shown_bytes = 0
 
     def end(self) -> None:
         """End it and all processes that it started."""

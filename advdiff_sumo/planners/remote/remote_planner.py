@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -148,14 +150,17 @@ class RemotePlanner:
             raise PlanRefusedError(f"{self._who} {error}") from None
 
     def end(self, memory: RemoteEpisode, end: str, time_s: float, failure: str) -> None:
-        """Tell the server how the episode ended, if it still runs; its response and its failures are ignored."""
+        """Tell the server how the episode ended, if it still runs, and show what it wrote since the last one.
+
+        Its response and its failures are ignored.
+        """
         if self._connection is None:
             return
         outcome = messages.Outcome(episode_id=memory.episode_id, end=end, time_s=time_s, failure=failure)
-        try:
+        with contextlib.suppress(EpisodeFailure):
             self._call(self._connection, "EndEpisode", outcome, min(_END_S, self.options.plan_timeout_s))
-        except EpisodeFailure:
-            return
+        if self._process is not None and (text := self._process.new_output()):
+            sys.stderr.write(f"{text}\n")
 
     def close(self) -> None:
         """Close the connection, and end the server if it was started here."""
@@ -209,14 +214,18 @@ class RemotePlanner:
     def _call(
         self, connection: Connection, name: str, request: Any, timeout_s: float, wait: bool = False
     ) -> Any:
-        """Call the server; close it if it is late or gone, so that the next episode starts a new one."""
+        """Call the server; close it if it is late or gone, so that the next episode starts a new one.
+
+        A failure without a traceback has what a server started here wrote last as its cause.
+        """
         try:
             return connection.call(name, request, timeout_s, wait)
-        except (PlannerTimeoutError, PlannerCrashedError) as error:
+        except EpisodeFailure as error:
             failure = self._with_exit(error)
             output = self._process.output() if self._process is not None else ""
-            self.close()
-            raise failure from (PlannerSideError(output) if output else None)
+            if isinstance(error, PlannerTimeoutError | PlannerCrashedError):
+                self.close()
+            raise failure from error.__cause__ or (PlannerSideError(output) if output else None)
 
     def _with_exit(self, error: EpisodeFailure) -> EpisodeFailure:
         """Return *error*, which says how the server's process ended if it was started here and has ended."""

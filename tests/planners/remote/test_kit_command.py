@@ -60,7 +60,11 @@ class NoPlan:
                 "--address",
                 "unix:missing/folder/socket",
             ],
-            "Failed to bind to address unix:missing/folder/socket.*; choose another --address",
+            "cannot listen at unix:missing/folder/socket: it is in use, or .* machine; choose another --address",
+        ),
+        (
+            ["kit_mine:Sound", "--options", json.dumps({"gain": 1}), "--address", "localhost:99999"],
+            "no port 99999: the largest is 65535; choose another --address",
         ),
     ],
 )

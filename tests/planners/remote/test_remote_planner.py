@@ -34,6 +34,7 @@ from advdiff_sumo.planners.planner_check import same_plan
 from advdiff_sumo.planners.planner_protocol import Planner, Served
 from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.planners.remote import keeper
+from advdiff_sumo.planners.remote import remote_planner as remote_planner_module
 from advdiff_sumo.planners.remote.remote_planner import RemotePlanner
 from advdiff_sumo.planners.remote.write_kit import write_kit
 from tests.hang_guard import HANG_S, with_time
@@ -167,6 +168,78 @@ def test_each_fault_is_a_typed_failure_and_the_next_episode_begins(
         assert re.search(words, str(failure))
         assert trace in str(failure.__cause__)
     assert well
+
+
+BY_HAND = """
+import os, sys
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
+
+from advdiff_sumo.planner_kit import messages
+
+
+def call(name, request_class, reply_class):
+    def handler(request, context):
+        print(f"doing {name}", flush=True)
+        if name == sys.argv[1]:
+            context.abort(grpc.StatusCode[sys.argv[2]], "solver gave up")
+        return reply_class(protocol_version=1) if name == "Describe" else reply_class()
+
+    parse, write = request_class.FromString, reply_class.SerializeToString
+    return grpc.unary_unary_rpc_method_handler(handler, request_deserializer=parse, response_serializer=write)
+
+
+calls = {name: call(name, *classes) for name, classes in messages.CALLS.items()}
+server = grpc.server(ThreadPoolExecutor(1))
+server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(messages.SERVICE, calls),))
+server.add_insecure_port(os.environ["ADVDIFF_PLANNER_ADDRESS"])
+server.start()
+server.wait_for_termination()
+"""
+
+
+@pytest.mark.parametrize(
+    ("call", "status", "kind", "words"),
+    [
+        ("MakePlan", "INTERNAL", PlannerError, "raised solver gave up"),
+        ("StartEpisode", "NOT_FOUND", PlannerError, "refused StartEpisode: NOT_FOUND solver gave up"),
+        (
+            "MakePlan",
+            "DEADLINE_EXCEEDED",
+            PlannerError,
+            "refused MakePlan: DEADLINE_EXCEEDED solver gave up",
+        ),
+        ("MakePlan", "UNAVAILABLE", PlannerCrashedError, "no server answered MakePlan \\(solver gave up\\)"),
+    ],
+)
+def test_an_error_status_keeps_its_text_and_what_the_server_wrote(
+    road: RoadMap,
+    scene: Scene,
+    tmp_path: Path,
+    call: str,
+    status: str,
+    kind: type[EpisodeFailure],
+    words: str,
+) -> None:
+    program = tmp_path / "server.py"
+    program.write_text(BY_HAND)
+    planner = make_target(f"exec:{sys.executable} {shlex.quote(str(program))} {call} {status}", {})
+    assert isinstance(planner, RemotePlanner)
+    with pytest.raises(EpisodeFailure, match=words) as caught:
+        plans(planner, road, scene)
+    planner.close()
+    assert type(caught.value) is kind
+    assert str(caught.value.__cause__).endswith(f"doing {call}")
+
+
+def test_what_a_server_writes_is_shown_as_the_episode_ends(
+    served: Made, road: RoadMap, scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planner = served()
+    for end in ("collision", "horizon"):
+        planner.end(planner.start(road, scene, np.random.default_rng(0)), end, 1.0, "")
+        assert capsys.readouterr().err == f"ended: {end}\n"
 
 
 def test_a_plan_that_is_not_a_number_is_left_to_the_simulation(
@@ -339,7 +412,7 @@ def test_a_missing_server_is_reported_before_anything_is_run() -> None:
 
 
 def test_a_server_started_by_another_process(
-    faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path
+    faulty: Path, road: RoadMap, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     address = f"unix:{tmp_path}/socket"
     command = [sys.executable, "-m", "advdiff_sumo.planner_kit", "faulty_server:Faulty", "--address", address]
@@ -353,7 +426,9 @@ def test_a_server_started_by_another_process(
         server.kill()
     with pytest.raises(PlannerCrashedError, match="no server answered MakePlan"):
         planner.plan(road, scene, memory, np.random.default_rng(0))
-    planner.close()
+    monkeypatch.setattr(remote_planner_module, "_CONNECT_S", 0.5)
+    with pytest.raises(PlannerCrashedError, match=r"no server answered Describe within 0\.5 s"):
+        planner.start(road, scene, np.random.default_rng(0))
 
 
 def test_a_deep_temporary_folder_is_no_place_for_a_socket(

@@ -155,5 +155,6 @@ def _usage_error(error: typer.TyperException) -> str:
     for of_pydantic, plain in _PLAIN_WORDS.items():
         problem = problem.replace(of_pydantic, plain)
     context = getattr(error, "ctx", None)
-    command = context.command_path if context else app.info.name
+    verb = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+    command = context.command_path if context else f"{app.info.name} {verb}".strip()
     return f"{problem[0].lower()}{problem[1:]} (see {command} --help)" if problem else ""

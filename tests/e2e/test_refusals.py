@@ -139,7 +139,7 @@ def test_a_net_without_a_drivable_route(
         (("--target", "grpc:localhost:1"), ("is written grpc://HOST:PORT", "'grpc://localhost:1'?")),
         (("--episodes", "abc"), ("'--episodes'", "valid integer", "advdiff-sumo run --help")),
         (("--horizont", "3"), ("--horizont", "--horizon")),
-        (("--horizon",), ("'--horizon' requires an argument",)),
+        (("--horizon",), ("'--horizon' requires an argument", "advdiff-sumo run --help")),
         (("more",), ("unexpected", "more", "advdiff-sumo run --help")),
         (("--scenes", ".", "--demand", "a.rou.xml"), ("demand and scenes cannot go together",)),
         (("--resume",), ("out: holds no run to go on with", "leave --resume out")),

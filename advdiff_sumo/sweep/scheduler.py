@@ -15,7 +15,7 @@ from advdiff_sumo.sim.heartbeat import NOT_STARTED
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
-from advdiff_sumo.sweep.stored_episode import StoredEpisode
+from advdiff_sumo.sweep.stored_episode import StoredEpisode, with_output
 from advdiff_sumo.sweep.sweep_files import DiskFullError
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Batch, EpisodeTask, Failed, Outcome, SceneTask, Task
@@ -213,7 +213,7 @@ class Scheduler:
         elif first is not None:
             content = replace(StoredEpisode.from_bytes(outcome.product[0]), failed=first).to_bytes()
         else:
-            content = outcome.product[0]
+            content = with_output(outcome.product[0], outcome.output)
         try:
             self.store.write(job.key, content)
         except DiskFullError:

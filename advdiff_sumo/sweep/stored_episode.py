@@ -6,7 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import pyarrow as pa
@@ -56,6 +56,14 @@ class StoredEpisode:
             if _FAILURE in names:
                 failed = Failed(**json.loads(archive.read(_FAILURE)))
         return row, failed
+
+
+def with_output(content: bytes, output: str) -> bytes:
+    """Return a stored episode whose failure has *output* as its ``log_tail``, if it has no other."""
+    failed = StoredEpisode.row_and_failure(content)[1] if output else None
+    if failed is None or failed.log_tail:
+        return content
+    return replace(StoredEpisode.from_bytes(content), failed=replace(failed, log_tail=output)).to_bytes()
 
 
 def pack(entries: Mapping[str, bytes]) -> bytes:

@@ -32,6 +32,9 @@ class Wobbles:
     def plan(self, road, scene, memory, rng):
         if "raises" in sys.argv:
             raise ValueError("no way found")
+        if "nan" in sys.argv:
+            print("the solver diverged", flush=True)
+            return Controls(np.full(10, np.nan), np.zeros(10), 0.1), memory
         return Controls(rng.normal(0.0, 0.3, 10), np.zeros(10), 0.1), memory
 
 
@@ -77,6 +80,18 @@ def test_a_remote_planner_that_raises_is_a_failure_with_its_traceback(
     assert "ValueError: no way found" in rows[0]["failure_message"]
     assert "no way found" in (workplace / "run" / "report.html").read_text()
     assert gone(workplace)
+
+
+def test_what_a_planner_wrote_before_a_refused_plan_is_kept(
+    here: Callable[..., Outcome], workplace: Path
+) -> None:
+    (workplace / "our_server.py").write_text(SERVER)
+    done = here(*RUN, "--episodes", 1, "--target", f"{COMMAND} nan", "--out", "run")
+    assert "the solver diverged" in done.err
+    (failure,) = pq.read_table(workplace / "run" / "failures.parquet").to_pylist()
+    assert failure["kind"] == "plan_refused"
+    assert failure["log_tail"] == "the solver diverged"
+    assert "the solver diverged" in (workplace / "run" / "report.html").read_text()
 
 
 def test_a_run_that_is_killed_leaves_no_server(workplace: Path) -> None:

@@ -21,7 +21,8 @@ import pyarrow.parquet as pq
 from soak_src.checks import States, problems, runs_of
 from soak_src.places import Place, places
 
-from advdiff_sumo.core.errors import INTERRUPTED, KEPT, UNEXPLAINED_KINDS, AdvdiffError
+from advdiff_sumo.cli.interruption import KEPT
+from advdiff_sumo.core.errors import INTERRUPTED, UNEXPLAINED_KINDS, AdvdiffError
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import find_net

@@ -56,7 +56,7 @@ def test_its_commands_name_whose_folder_they_need(sweep_folder: Path, tmp_path: 
     at = table.schema.get_field_index("target")
     pq.write_table(table.set_column(at, table.schema.field(at), targets), path)
     page = write_report(folder).read_text(encoding="utf-8")
-    told = "in this folder with the folder of mine.py, other.py on PYTHONPATH:"
+    told = "in this folder with the folder of mine/, other.py on PYTHONPATH:"
     assert f"<span>To repeat it, {told}</span> <code>advdiff-sumo sweep" in page
     assert f"To repeat just this episode, {told} <code" in page
 

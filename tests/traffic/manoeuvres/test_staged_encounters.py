@@ -122,32 +122,30 @@ def test_a_planner_that_tracks_only_the_nearest_runs_into_a_masked_leader(
 
 
 @pytest.mark.slow
-def test_a_planner_that_overtakes_without_a_look_to_the_side_moves_into_a_vehicle_that_passes(
-    encounters: dict[str, Encounter], sound: Any
+@pytest.mark.parametrize(
+    ("encounter", "attack", "planner", "breach", "other_attack"),
+    [
+        ("beside", "close-pass", "WithoutMirrors", "sideways", "hard-stop"),
+        ("wait", "short-gaps", "SetsOffWithoutLooking", "right_of_way", "crossing"),
+    ],
+)
+def test_a_planner_that_does_not_look_fails_in_the_attack_that_is_for_it(
+    encounter: str,
+    attack: str,
+    planner: str,
+    breach: str,
+    other_attack: str,
+    encounters: dict[str, Encounter],
+    sound: Any,
 ) -> None:
+    """It overtakes without a look to the side, or sets off from a line without one to those who cross."""
     for target in ("lane_graph", "careful"):
-        row = sound("beside", "close-pass", SEED, target)
+        row = sound(encounter, attack, SEED, target)
         assert row["in_position"]
         assert not row["target_collision"]
-    blind = "tests.planners.narrow_planners:WithoutMirrors"
-    row = drive(encounters["beside"], "close-pass", [], SEED, blind)
+    blind = f"tests.planners.narrow_planners:{planner}"
+    row = drive(encounters[encounter], attack, [], SEED, blind)
     assert failed(row)
     assert row["lawful"]
-    assert row["target_breaches"] == "sideways"
-    assert not drive(encounters["beside"], "hard-stop", [], SEED, blind)["target_collision"]
-
-
-@pytest.mark.slow
-def test_a_planner_that_sets_off_from_a_line_without_a_look_takes_a_short_gap(
-    encounters: dict[str, Encounter], sound: Any
-) -> None:
-    for target in ("lane_graph", "careful"):
-        row = sound("wait", "short-gaps", SEED, target)
-        assert row["in_position"]
-        assert not row["target_collision"]
-    hasty = "tests.planners.narrow_planners:SetsOffWithoutLooking"
-    row = drive(encounters["wait"], "short-gaps", [], SEED, hasty)
-    assert failed(row)
-    assert row["lawful"]
-    assert row["target_breaches"] == "right_of_way"
-    assert not drive(encounters["wait"], "crossing", [], SEED, hasty)["target_collision"]
+    assert row["target_breaches"] == breach
+    assert not drive(encounters[encounter], other_attack, [], SEED, blind)["target_collision"]

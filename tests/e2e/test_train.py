@@ -78,7 +78,9 @@ def test_evaluate_prints_and_writes_the_same_table(traffic: Path, data: Path, tm
 @pytest.mark.parametrize("share", ["-0.1", "2"])
 def test_a_share_of_drives_is_between_0_and_1(share: str, tmp_path: Path) -> None:
     words = ("evaluate", "--weights", "w", "--data", "d", "--held-out", share)
-    refused(advdiff(*words, cwd=tmp_path), "--held-out", "than or equal to")
+    done = advdiff(*words, cwd=tmp_path)
+    refused(done, "--held-out", "than or equal to")
+    assert done.out == "", "it is refused before anything is judged"
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import is_oncoming, turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
@@ -28,17 +29,20 @@ def suited_crossings(
 
     Vehicles that turn are as slow as their bend asks for; those of a stream keep their speed.
     """
+    links_of_row: dict[int, tuple[Link, Link] | None] = {}
     for manoeuvre in manoeuvres:
-        links = crossing_links(view, manoeuvre.row) if manoeuvre.kind == "crossing" else None
+        row, profile = manoeuvre.row, manoeuvre.profile
+        if manoeuvre.kind == "crossing" and row not in links_of_row:
+            links_of_row[row] = crossing_links(view, row)
+        links = links_of_row[row] if manoeuvre.kind == "crossing" else None
         if links is None:
             yield manoeuvre
             continue
-        profile = manoeuvre.profile
         is_excluded = stage.only_oncoming and not is_oncoming(view, links[1], links[0])
         changes_speed = profile.first_mps2 != 0.0 or profile.then_mps2 != 0.0
         if is_excluded or (stage.streams and changes_speed):
             continue
         turn_mps = turn_speed_mps(view.road, links[0])
-        if view.speed(manoeuvre.row) <= _MAX_SPEED_SHARE * turn_mps:
+        if view.speed(row) <= _MAX_SPEED_SHARE * turn_mps:
             highest_mps = min(profile.highest_mps, turn_mps)
             yield replace(manoeuvre, profile=replace(profile, highest_mps=highest_mps))

@@ -123,13 +123,11 @@ def can_begin_later(
         return False
     if needed_mps2 == 0.0 and spare_gap_m is None:
         return False
-    row = manoeuvre.row
-    lost_m = PLAN_DT_S * (view.speed(view.scene.target) - view.speed(row))
+    target_mps, speed_mps = view.speed(view.scene.target), view.speed(manoeuvre.row)
+    lost_m = PLAN_DT_S * (target_mps - speed_mps)
     if needed_mps2 > 0.0:
-        perceivable_s = manoeuvre.perceivable_s(view.scene.history.xy_m[row, -1])
-        closing_mps = (
-            view.speed(view.scene.target) - manoeuvre.mean_and_end_speed(perceivable_s, view.speed(row))[1]
-        )
+        perceivable_s = manoeuvre.perceivable_s(view.scene.history.xy_m[manoeuvre.row, -1])
+        closing_mps = target_mps - manoeuvre.mean_and_end_speed(perceivable_s, speed_mps)[1]
         braking_m = 0.5 * closing_mps**2 / needed_mps2 - lost_m  # left for braking
         if 0.5 * closing_mps**2 > MAX_DEMAND_MPS2[manoeuvre.kind] * braking_m:
             return False

@@ -17,20 +17,26 @@ _ARMS = {"west": (-_ARM_M, 0), "east": (_ARM_M, 0), "south": (0, -_ARM_M), "nort
 
 @pytest.fixture(scope="session")
 def crossing(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., RoadMap]:
-    """Return a maker of crossings at (0, 0): two lanes each way west-east (13.89 m/s), one south-north."""
-    made: dict[tuple[str, bool], RoadMap] = {}
+    """Return a maker of crossings at (0, 0): two lanes each way west-east (13.89 m/s), one south-north.
 
-    def make(kind: str = "priority", lefthand: bool = False) -> RoadMap:
-        if (kind, lefthand) not in made:
+    The road from the north begins at *north*.
+    """
+    made: dict[tuple[str, bool, tuple[int, int]], RoadMap] = {}
+
+    def make(
+        kind: str = "priority", lefthand: bool = False, north: tuple[int, int] = _ARMS["north"]
+    ) -> RoadMap:
+        if (kind, lefthand, north) not in made:
             folder = tmp_path_factory.mktemp(f"{kind}-{lefthand}")
-            made[kind, lefthand] = RoadMap.read(_write(folder, kind, lefthand))
-        return made[kind, lefthand]
+            made[kind, lefthand, north] = RoadMap.read(_write(folder, kind, lefthand, north))
+        return made[kind, lefthand, north]
 
     return make
 
 
-def _write(folder: Path, kind: str, lefthand: bool) -> Path:
-    nodes = [f'<node id="{name}" x="{x}" y="{y}" type="dead_end"/>' for name, (x, y) in _ARMS.items()]
+def _write(folder: Path, kind: str, lefthand: bool, north: tuple[int, int]) -> Path:
+    arms = {**_ARMS, "north": north}
+    nodes = [f'<node id="{name}" x="{x}" y="{y}" type="dead_end"/>' for name, (x, y) in arms.items()]
     edges = []
     for name in _ARMS:
         major = name in ("west", "east")

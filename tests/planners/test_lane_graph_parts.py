@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from advdiff_sumo.core.polylines import Polyline
+from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.lane_graph.chains import detour, plausible_chains, required_changes, route_chain
 from advdiff_sumo.planners.lane_graph.conflicts import conflict_zone
@@ -127,6 +127,24 @@ def test_crossing_ways_meet_and_parallel_ones_do_not(crossing: Maker) -> None:
     crossing_y = where.at(np.asarray(where.stop_m[0] + middle))[0][1]
     assert crossing_y == pytest.approx(road.lanes[across.from_lane].centre_xy_m[-1, 1], abs=0.6)
     assert conflict_zone(geometry, up, down) is None
+
+
+@pytest.mark.parametrize(("north", "least_m", "most_m"), [((0, 200), 0.0, 0.0), ((180, 30), 2.0, 4.0)])
+def test_in_a_tight_turn_the_front_meets_the_other_lane_sooner(
+    crossing: Maker, north: tuple[int, int], least_m: float, most_m: float
+) -> None:
+    road = crossing(north=north)
+    left = road.links[link_between(road, "north_in", "east_out")]
+    across = road.links[link_between(road, "west_in_1", "east_out")]
+    zone = conflict_zone(Geometry.of(road), left, across)
+    assert zone is not None
+    centres = [
+        concatenate([road.lanes[lane].line for lane in (*link.via, link.to_lane)]) for link in (left, across)
+    ]
+    own, other = (line.at(np.arange(0.0, 40.0, 0.5))[0] for line in centres)
+    distances_m = np.hypot(*(own[:, None] - other[None]).transpose(2, 0, 1)).min(axis=1)
+    sooner_m = 0.5 * float((distances_m < 2.6).argmax()) - zone.own_m[0]
+    assert least_m <= sooner_m <= most_m
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,8 @@ def drives_results(records: Sequence[EpisodeRecord], repeated: EpisodeRecord) ->
         getattr(first, part).tobytes() == getattr(second, part).tobytes()
         for part in ("xy_m", "yaw_rad", "speed_mps", "valid")
     )
-    comparison = "the same bytes" if is_same else "the same scene and seed led to another drive"
+    until = " until the failure" if records[0].failure is not None else ""
+    comparison = f"the same bytes{until}" if is_same else "the same scene and seed led to another drive"
     return [CheckResult(DRIVES, not messages, detail), CheckResult(DRIVES_AGAIN, is_same, comparison)]
 
 

@@ -42,7 +42,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     ]
     for role in ("target", "background"):
         if any(row[f"{role}_plan_p50_s"] is not None for row in timing):
-            p50, p99 = (_median_text(timing, f"{role}_plan_p{share}_s", "s", "{:.4f}") for share in (50, 99))
+            p50, p99 = (_median_text(timing, f"{role}_plan_p{share}_s", "ms", 1e3) for share in (50, 99))
             lines.append((f"{role}'s plan, median and 99 %", f"{p50}, {p99}"))
     return lines
 
@@ -88,10 +88,10 @@ def _rate(count: int, total: int) -> str:
     return f"{100 * count / total:.1f} %  [{100 * low:.1f}, {100 * high:.1f}]  {count} of {total}"
 
 
-def _median_text(rows: Rows, column: str, unit: str, form: str = "{:.2f}") -> str:
+def _median_text(rows: Rows, column: str, unit: str, units_per_value: float = 1.0) -> str:
     value, known_count = _median_value(rows, column), sum(row[column] is not None for row in rows)
     note = f" (of {known_count} of {len(rows)} episodes)" if known_count < len(rows) else ""
-    return "–" if value is None else f"{form.format(value)} {unit}{note}"
+    return "–" if value is None else f"{units_per_value * value:.2f} {unit}{note}"
 
 
 def _median_value(rows: Rows, column: str) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any, cast
 
@@ -49,6 +50,17 @@ def test_a_gate_is_shut_where_nothing_finished(
         compare(_RELEASE, _TODAY, fail_if=_GATE)
     assert end.value.exit_code == 1
     assert capsys.readouterr() == ("", f"{_SENTENCE}: --fail-if {_GATE} cannot be tested\n")
+
+
+def test_with_json_the_reason_is_an_object(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _folders(monkeypatch, [{**_ROW, "end": "failed"}])
+    with pytest.raises(typer.Exit):
+        compare(_RELEASE, _TODAY, fail_if=_GATE, as_json=True)
+    output = capsys.readouterr()
+    assert f"{json.loads(output.out)['error']}\n" == output.err
+    assert _SENTENCE in output.err
 
 
 def test_without_a_gate_it_is_unusable_input(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,6 +134,7 @@ def test_the_first_fault_is_named_and_what_lies_behind_it_not_looked_at(
     assert not found[fails].ok
     assert found["methods"].ok
     assert not found["drives"].ok
+    assert found["drives it again"].detail == "the same bytes until the failure"
     assert (found[blind].ok, found[blind].detail) == (None, "not looked at, see above")
 
 

@@ -43,6 +43,12 @@ def test_summary_and_headline_divide_by_the_judged_episodes(rows: Any) -> None:
     assert dict(summary_lines([rows.struck(0)], []))["valid failures"] == "not judged"
 
 
+def test_times_of_plans_are_in_milliseconds(rows: Any) -> None:
+    times = {"target_plan_p50_s": 0.00012, "target_plan_p99_s": 0.0125, "background_plan_p50_s": None}
+    lines = dict(summary_lines([rows.episode(0)], [{"episode": 0, "real_time_factor": 9.0, **times}]))
+    assert lines["target's plan, median and 99 %"] == "0.12 ms, 12.50 ms"
+
+
 def test_a_contact_before_a_failure_counts(rows: Any) -> None:
     episodes = [
         rows.struck(0, end="failed", failure_kind="planner_error", valid_failure=True),

@@ -90,10 +90,10 @@ def compare(
     except NothingFinishedError as error:
         if condition is None:
             raise
-        sentence = f"{error}: --fail-if {fail_if} cannot be tested"
-        terminal(stderr=True, soft_wrap=True).print(sentence, style="red")
+        undecided = f"{error}: --fail-if {fail_if} cannot be tested"
+        terminal(stderr=True, soft_wrap=True).print(undecided, style="red")
         if as_json:
-            print_json({"error": sentence})
+            print_json({"error": undecided})
         raise typer.Exit(CONDITION_MET) from None
     console = terminal(quiet=as_json)
     _print(console, comparison, sides)

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.frames import bumper_from_centre, sumo_from_yaw, unit
 from advdiff_sumo.core.scene import AgentClass
@@ -184,10 +184,15 @@ class Actuator:
         with contextlib.suppress(Exception):  # libsumo and traci raise different types if there is none
             self.api.vehicle.remove(name)
 
+    def is_on_lane(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> BoolArray:
+        """Return (N, …) whether the front bumper's centre of each of *rows* is on a lane at poses (N, …, 2), (N, …)."""
+        length_m = self.world.size_m[rows, 0].reshape(-1, *(1,) * (yaw_rad.ndim - 1))
+        bumper = bumper_from_centre(xy_m, yaw_rad, length_m)
+        return self.road.on_lane(bumper.reshape(-1, 2), yaw_rad.reshape(-1)).reshape(yaw_rad.shape)
+
     def on_lanes(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> set[int]:
         """Return those of *rows* whose front bumper's centre is on a lane, with the vehicles at poses (N, 2), (N,)."""
-        bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        return set(rows[self.road.on_lane(bumper, yaw_rad)].tolist())
+        return set(rows[self.is_on_lane(rows, xy_m, yaw_rad)].tolist())
 
     def take_inserted(self, departed: Sequence[int]) -> None:
         """Begin to move the vehicles among *departed* that SUMO has just inserted for us."""
@@ -260,15 +265,15 @@ class Actuator:
         left_m = float(self.api.vehicle.getLateralLanePosition(name)) * (-1.0 if self.road.lefthand else 1.0)
         return self.world.lane[row] == lane and abs(left_m - d_m) <= _SAME_OFFSET_M
 
-    def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray) -> None:
+    def move(self, rows: IntArray, xy_m: FloatArray, yaw_rad: FloatArray, is_on_lane: BoolArray) -> None:
         """Put *rows* at poses (N, 2), (N,) in the next step, and remove those from SUMO that leave the lanes.
 
-        Rows that are outside SUMO or still being inserted are ignored.
+        Rows that are outside SUMO or still being inserted are ignored. *is_on_lane* (N,) is of :meth:`is_on_lane`.
         """
         is_inserted = [row in self.moved and self.moved[row].inserted for row in rows.tolist()]
         rows, xy_m, yaw_rad = rows[is_inserted], xy_m[is_inserted], yaw_rad[is_inserted]
         bumper = bumper_from_centre(xy_m, yaw_rad, self.world.size_m[rows, 0])
-        is_on_lane = self.road.on_lane(bumper, yaw_rad)
+        is_on_lane = is_on_lane[is_inserted]
         for row in rows[~is_on_lane].tolist():
             self._remove_after_step(row)
             self.outside.add(row)

@@ -68,6 +68,7 @@ class Loop:
         self.signals: Mapping[str, str] = {}
         self.target_left = False
         self.entering: set[int] = set()
+        self.is_on_lane: BoolArray = np.zeros((0, 0), dtype=np.bool_)
         self.replayed: IntArray = np.zeros(0, dtype=np.int64)
         self.awaited_from_demand: set[int] = set()
         self.steps = 0
@@ -126,12 +127,14 @@ class Loop:
 
     def _play_history(self) -> None:
         """Play a log's history, so that at instant 0 all its vehicles are in SUMO and at speed."""
-        motion = self.context.history(self.sim)
+        motion = part = self.context.history(self.sim)
         self.replayed = self.context.rows()
         for k in range(motion.valid.shape[1]):
-            if k % self.sim.substeps == 0:
-                self._note_entering(motion.span(k, k + self.sim.substeps))
-            self._move(motion, k)
+            substep = k % self.sim.substeps
+            if substep == 0:
+                part = motion.span(k, k + self.sim.substeps)
+                self._note_entering(part)
+            self._move(part, substep)
             self._advance()
 
     # --- stepping ----------------------------------------------------------------------------------------
@@ -215,8 +218,9 @@ class Loop:
     def _move(self, motion: MovedMotion, k: int) -> None:
         """Put all moved vehicles where *motion* has them at substep *k*; remove those that are gone by then."""
         valid = motion.valid[:, k]
+        controlled = self.actuator.controlled_rows
         for row in motion.rows[~valid].tolist():
-            if row in self.actuator.controlled_rows:
+            if row in controlled:
                 self.actuator.remove(row)
                 self.world.remove([row])
         if self.awaited_from_demand:
@@ -229,7 +233,7 @@ class Loop:
         for row in rows.tolist():
             if row not in self.actuator.moved:
                 self._take_or_insert(row)
-        self.actuator.move(rows, motion.xy_m[valid, k], motion.yaw_rad[valid, k])
+        self.actuator.move(rows, motion.xy_m[valid, k], motion.yaw_rad[valid, k], self.is_on_lane[valid, k])
 
     def _take_or_insert(self, row: int) -> None:
         """Begin to move *row*: take it from SUMO, insert it, or keep it outside SUMO while it is off the lanes."""
@@ -250,7 +254,8 @@ class Loop:
                 self.actuator.try_insert(row, self.types[agent_class])
 
     def _note_entering(self, motion: MovedMotion) -> None:
-        """Note which vehicles outside SUMO get onto a lane during *motion*, and which SUMO's demand will insert."""
+        """Note when vehicles are on a lane during *motion*, and which SUMO's demand or the loop will insert."""
+        self.is_on_lane = self.actuator.is_on_lane(motion.rows, motion.xy_m, motion.yaw_rad)
         if isinstance(self.episode.scene.start, SavedTraffic):
             demand_ids = self.episode.scene.log.index
             new_rows = set(motion.rows.tolist()) - self.world.had_in_sumo
@@ -259,12 +264,9 @@ class Loop:
             axis=1
         )
         rows, valid = motion.rows[is_outside], motion.valid[is_outside]
-        self.entering = set()
-        if len(rows):
-            each = np.arange(len(rows))
-            for k in (valid.argmax(axis=1), valid.shape[1] - 1 - valid[:, ::-1].argmax(axis=1)):
-                poses = motion.xy_m[is_outside][each, k], motion.yaw_rad[is_outside][each, k]
-                self.entering |= self.actuator.on_lanes(rows, *poses)
+        first, last = valid.argmax(axis=1), valid.shape[1] - 1 - valid[:, ::-1].argmax(axis=1)
+        ends = np.take_along_axis(self.is_on_lane[is_outside], np.stack((first, last), axis=1), axis=1)
+        self.entering = set(rows[ends.any(axis=1)].tolist())
 
     def _advance(self) -> None:
         """Let SUMO step and read the result; for vehicles that are moved, the package's own states apply."""
@@ -280,7 +282,8 @@ class Loop:
                 moved.pop(row)
                 self.actuator.outside.add(row)
         rows = self.actuator.remove_off_lanes()
-        self.entering |= self.actuator.on_lanes(rows, self.world.xy_m[rows], self.world.yaw_rad[rows])
+        if len(rows):
+            self.entering |= self.actuator.on_lanes(rows, self.world.xy_m[rows], self.world.yaw_rad[rows])
         self.recorder.note(self.api)
 
     def _target_collides(self, before: Frame, now: Frame) -> bool:

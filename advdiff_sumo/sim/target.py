@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.bicycle import Limits
 from advdiff_sumo.core.errors import PlanRefusedError
 from advdiff_sumo.core.plan import Plan, Trajectory
@@ -92,6 +92,7 @@ class PlannerDrive:
         self.implausible = (0, "")
         self._memory: Any = None
         self._states: State | None = None
+        self._is_on_lane: BoolArray = np.zeros(0, dtype=np.bool_)  # of the front, at the states
         self._off_route_edge: str | None = None  # the edge under the target while it is off its route
         self._remaining_m = np.inf  # from the front to the end of the route, once on its last edge
 
@@ -118,7 +119,8 @@ class PlannerDrive:
             self.implausible = count + 1, first or problems[0]
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
-        self._states = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
+        self._states = xy, yaw, _ = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())
+        self._is_on_lane = self.actuator.is_on_lane(np.array([row]), xy[None], yaw[None])[0]
         self.actuator.predict_route(row, self._expected_route(state, plan))
 
     def _plan(self, view: Scene) -> Plan:
@@ -147,7 +149,7 @@ class PlannerDrive:
         self._remaining_m -= float(speed) * self.sim.step_s
         rows = np.array([self.row])
         self.world.set_state(rows, xy, yaw, speed, Controller.PLANNER)
-        self.actuator.move(rows, xy[None], np.atleast_1d(yaw))
+        self.actuator.move(rows, xy[None], np.atleast_1d(yaw), self._is_on_lane[k : k + 1])
 
     def visible(self) -> frozenset[str] | None:
         """Return None: a Python planner sees all road users."""

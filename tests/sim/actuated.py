@@ -38,7 +38,7 @@ def move(
     rows = np.array([row])
     at, heading = np.array([xy], dtype=np.float64), np.array([yaw])
     actuator.world.set_state(rows, at, heading, np.array([speed]), Controller.POLICY)
-    actuator.move(rows, at, heading)
+    actuator.move(rows, at, heading, actuator.is_on_lane(rows, at, heading))
     s.session.step()
     actuator.take_inserted(register(actuator.world, s.api, s.api.simulation.getDepartedIDList()))
     read(actuator.world, s.api, actuator.controlled_rows)

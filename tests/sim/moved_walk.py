@@ -41,7 +41,7 @@ def walk(net: Path, seed: int) -> None:
             )
             if step % _PLAN_STEPS == 0:
                 _plan(road, actuator, rows, rng)
-            actuator.move(rows, world.xy_m[rows], yaw)
+            actuator.move(rows, world.xy_m[rows], yaw, actuator.is_on_lane(rows, world.xy_m[rows], yaw))
             session.step()
             actuator.take_inserted(register(world, session.api, session.api.simulation.getDepartedIDList()))
             for row in read(world, session.api, actuator.controlled_rows).tolist():

@@ -96,7 +96,8 @@ def hand_over(
         world.set_state(rows, point[None], np.atleast_1d(yaw), np.array([speed]), Controller.POLICY)
         if k in (0, 5):
             handover.predict({0: (point, float(yaw))}, routes)
-        actuator.move(rows, point[None], np.atleast_1d(yaw))
+        heading = np.atleast_1d(yaw)
+        actuator.move(rows, point[None], heading, actuator.is_on_lane(rows, point[None], heading))
         step()
     begun = len(out)
     for _ in range(40):
@@ -107,7 +108,7 @@ def hand_over(
         for k in range(PERIOD):
             at = motion.xy_m[:, k], motion.yaw_rad[:, k]
             world.set_state(rows, *at, motion.speed_mps[:, k], Controller.POLICY)
-            actuator.move(rows, *at)
+            actuator.move(rows, *at, actuator.is_on_lane(rows, *at))
             step()
     taken = len(out)
     assert not actuator.controlled_rows
@@ -180,7 +181,7 @@ def test_a_vehicle_standing_in_a_turn_yields_to_oncoming_traffic_and_leaves(cros
             if motion.rows.size:
                 at = motion.xy_m[:, k % PERIOD], motion.yaw_rad[:, k % PERIOD]
                 world.set_state(rows, *at, motion.speed_mps[:, k % PERIOD], Controller.POLICY)
-                actuator.move(rows, *at)
+                actuator.move(rows, *at, actuator.is_on_lane(rows, *at))
             s.session.step()
             read(world, s.api, actuator.controlled_rows)
             actuator.remove_off_lanes()
@@ -323,7 +324,7 @@ def take_back_behind(
                     MovedMotion(xy[:, None], yaw[:, None], speeds[:, None], held, there), -1, PERIOD, routes
                 )
             world.set_state(held, xy, yaw, speeds, Controller.POLICY)
-            actuator.move(held, xy, yaw)
+            actuator.move(held, xy, yaw, actuator.is_on_lane(held, xy, yaw))
             s.session.step()
             read(world, s.api, actuator.controlled_rows)
             if taken:

@@ -24,32 +24,33 @@ def conflict_zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
 
 
 def _zone(geometry: Geometry, own: Link, other: Link) -> Zone | None:
-    """Return the conflict area, computed from the centre lines."""
-    own_xy, other_xy = _centre_line(geometry, own), _centre_line(geometry, other)
-    in_conflict = _are_near(own_xy, other_xy)
+    """Return the conflict area, computed from the centre lines.
+
+    In a tight turn it begins earlier, or exists at all, because the front of a car is outside the line that it drives.
+    """
+    other_xy = _centre_line(geometry, other)
+    by_centre = _are_near(_centre_line(geometry, own), other_xy)
+    by_front = _are_near(_front_line(geometry, own), other_xy)
+    in_conflict = by_centre if by_centre.any() else by_front
     if not in_conflict.any():
         return None
     rows, columns = np.flatnonzero(in_conflict.any(1)), np.flatnonzero(in_conflict.any(0))
-    begin_m = float(rows[0] * _STEP_M)
-    front_begin_m = _front_reaches_m(geometry, own, other_xy)
+    begin, front_begin = rows[0], np.flatnonzero(by_front.any(1))[:1]
+    if len(front_begin) and front_begin[0] < begin - 1:
+        begin = front_begin[0]
     return Zone(
-        own_m=(front_begin_m if front_begin_m < begin_m - _STEP_M else begin_m, float(rows[-1] * _STEP_M)),
+        own_m=(float(begin * _STEP_M), float(rows[-1] * _STEP_M)),
         other_m=(float(columns[0] * _STEP_M), float(columns[-1] * _STEP_M)),
         merges=own.to_lane == other.to_lane,
     )
 
 
-def _front_reaches_m(geometry: Geometry, own: Link, other_xy_m: FloatArray) -> float:
-    """Return how far beyond its line the front of a car on *own* comes too near to *other_xy_m* (P, 2); inf for never.
-
-    In a tight turn that is earlier than by the centre lines: a car cuts the corner, and its front is outside the bend.
-    """
-    path = geometry.path((own.from_lane, *own.via, own.to_lane), (own,))
+def _front_line(geometry: Geometry, link: Link) -> FloatArray:
+    """Return points (P, 2) of a car's front as it drives over *link*, ``_STEP_M`` apart from the stop line on."""
+    path = geometry.path((link.from_lane, *link.via, link.to_lane), (link,))
     front_m = np.arange(0.0, path.exit_m[0] - path.stop_m[0] + _BEYOND_M, _STEP_M)
     centre_xy, yaw = path.at(path.stop_m[0] + front_m - _FRONT_M)
-    front_xy = centre_xy + _FRONT_M * np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
-    is_near = _are_near(front_xy, other_xy_m).any(axis=1)
-    return float(front_m[is_near.argmax()]) if is_near.any() else np.inf
+    return centre_xy + _FRONT_M * np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
 
 
 def _are_near(own_xy_m: FloatArray, other_xy_m: FloatArray) -> BoolArray:

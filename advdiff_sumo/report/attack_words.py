@@ -51,10 +51,12 @@ def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
 
 
 def plan_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return (text, number of episodes) if in some *rows* the target made plans that no vehicle can drive."""
+    """Return (text, number of episodes and the first fault) if some *rows* have plans that no vehicle can drive."""
     checked = [row for row in rows if row.get("implausible_plans") is not None]
     implausible = [row for row in checked if row["implausible_plans"]]
     if not implausible:
         return []
-    label = f"plans that no vehicle can drive ({implausible[0]['implausible_plan']}; see check-planner)"
-    return [(label, f"in {len(implausible)} of {len(checked)} episodes")]
+    first = implausible[0]
+    where = first.get("key", first["episode"])
+    text = f"in {len(implausible)} of {len(checked)} episodes; episode {where}: {first['implausible_plan']}"
+    return [("plans that no vehicle can drive", text)]

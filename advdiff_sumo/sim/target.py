@@ -116,7 +116,7 @@ class PlannerDrive:
         problems = motion_problems(plan, scene)
         if problems:
             count, first = self.implausible
-            self.implausible = count + 1, first or problems[0]
+            self.implausible = count + 1, first or f"{problems[0]} (plan of {scene.time_s:.1f} s)"
         state: State = world.xy_m[row].copy(), world.yaw_rad[row].copy(), world.speed_mps[row].copy()
         length = world.size_m[row, 0]
         self._states = xy, yaw, _ = drive_plan(state, plan, length, self.sim.step_s, steps, Limits())

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 import pytest
 
-from advdiff_sumo.report.attack_words import out_of_position, position_lines
+from advdiff_sumo.report.attack_words import out_of_position, plan_lines, position_lines
 from advdiff_sumo.traffic.scripted.scripted_policy import Kind
 
 
@@ -37,3 +37,23 @@ def test_every_lawful_kind_has_words(kind: str) -> None:
 def test_nothing_is_said_without_an_attack_or_in_folders_of_earlier_versions() -> None:
     assert position_lines([row(None, None), {"episode": 0}]) == []
     assert out_of_position(row("brake", True)) is None
+
+
+def test_the_first_plan_that_no_vehicle_can_drive_is_named_with_its_episode_and_time() -> None:
+    fault = "step 0 moves farther than its speeds allow (plan of 2.5 s)"
+    rows = [
+        {"episode": 0, "implausible_plans": 0, "implausible_plan": None},
+        {"episode": 1, "implausible_plans": 2, "implausible_plan": fault},
+        {
+            "episode": 2,
+            "implausible_plans": 1,
+            "implausible_plan": "step 3 turns faster than 3 rad/s (plan of 0.5 s)",
+        },
+        {"episode": 3, "implausible_plans": None, "implausible_plan": None},  # driven by SUMO
+    ]
+    assert plan_lines(rows) == [
+        ("plans that no vehicle can drive", f"in 2 of 3 episodes; episode 1: {fault}")
+    ]
+    assert plan_lines(rows[:1]) == []
+    keyed = [{**row, "key": f"{row['episode']:06d}"} for row in rows]
+    assert "episode 000001: step 0" in plan_lines(keyed)[0][1]

@@ -206,6 +206,25 @@ class AsLongAsItMust(Braking):
         return Controls(np.full(1, -1.0), np.zeros(1), scene.least_plan_s), None
 
 
+class JumpsLater(Braking):
+    """Keeps its speed, from 1 s on along a line 3 m ahead of where it is."""
+
+    def plan(
+        self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
+    ) -> tuple[Trajectory, None]:
+        now, row = scene.history, scene.target
+        yaw, speed = np.full(10, now.yaw_rad[row, -1]), np.full(10, now.speed_mps[row, -1])
+        ahead_m = speed * 0.1 * np.arange(1, 11) + 3.0 * (scene.time_s >= 1.0)
+        return Trajectory(now.xy_m[row, -1] + ahead_m[:, None] * unit(yaw), yaw, speed, 0.1), None
+
+
+def test_the_first_plan_that_no_vehicle_can_drive_is_recorded_with_its_time(
+    scene: SeedScene, road: RoadMap
+) -> None:
+    record, _ = episode(scene, road, target=JumpsLater(), horizon_s=2.0).run()
+    assert record.implausible == (2, "step 0 moves farther than its speeds allow (plan of 1.0 s)")
+
+
 @pytest.mark.parametrize("target", [AsLongAsItMust(), with_faults(AsLongAsItMust(), (WeakBrakes(2.5),))])
 def test_a_planner_knows_how_long_its_plan_must_be(scene: SeedScene, road: RoadMap, target: Planner) -> None:
     for every in (1, 3):

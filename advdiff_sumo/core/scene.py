@@ -192,7 +192,7 @@ class Scene:
         history: (A, H) states at the model step, the last instant is now.
         target: row of the tested vehicle.
         movable: (A,) background vehicles that the policy may move now.
-        routes: A tuples of edge ids, from the agent's present edge on; () if unknown.
+        routes: A tuples of edge ids, from the agent's present edge on; () if unknown. Planners get only the target's.
         signals: id of each traffic light → SUMO's state string.
         replan_s: time until the target's next plan; 0: one step of the history.
     """

@@ -184,8 +184,8 @@ class LanePose:
 
     Attributes:
         lane_id: the lane.
-        s_m: arc length along its centre line.
-        d_m: lateral offset from the centre line, left positive.
+        s_m: arc length along its centre line, clamped to the lane.
+        d_m: lateral offset from the centre line, left positive; beyond an end of the lane, the distance to that end.
         yaw_error_rad: heading minus the lane's heading, in (−π, π]; 0 if no heading was given.
     """
 

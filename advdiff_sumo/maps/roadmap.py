@@ -37,6 +37,18 @@ class RoadMap:
 
     Build it with :meth:`read`. Indices and areas are built on first use and cached. Coordinates are in metres in the
     net's frame (x east, y north), headings in radians counter-clockwise from east.
+
+    Attributes:
+        path: file of the net.
+        name: its name without suffixes.
+        lefthand: whether traffic keeps left.
+        lanes: lane id → lane, internal lanes included.
+        edges: edge id → edge.
+        junctions: junction id → junction.
+        links: (lane before the junction, lane after it) → link.
+        beyond_rim: edges beyond the rim of a clipped map; the other attributes do not contain them.
+        pedestrian_shapes: id → shape (K, 2): the centre line of a crossing, the outline of a walking area.
+        projection: the net's place on earth.
     """
 
     def __init__(self, raw: RawNet, graph: LaneGraph, drivable: BaseGeometry | None) -> None:

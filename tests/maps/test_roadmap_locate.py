@@ -32,6 +32,11 @@ def test_hand_worked_place(road):
     assert yaw == 0.0
 
 
+def test_a_place_before_a_lane_is_at_its_start(road):
+    pose = road.locate(np.array([-101.5, -4.8]), 0.0)
+    assert (pose.lane_id, pose.s_m, abs(pose.d_m)) == ("WC_0", 0.0, pytest.approx(1.5))
+
+
 def test_heading_decides_between_directions(road):
     between = np.array([-60.0, 0.0])  # the axis: 1.6 m from WC_1 (east) and from CW_0 (west)
     assert road.locate(between, 0.0).lane_id == "WC_1"

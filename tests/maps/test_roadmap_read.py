@@ -37,6 +37,12 @@ def test_cross_lanes(cross):
     assert (road.lanes["WC_1"].left_id, road.lanes["WC_1"].right_id) == (None, "WC_0")
 
 
+def test_the_docstring_names_every_attribute(cross):
+    names = [name for name in vars(RoadMap.read(cross)) if not name.startswith("_")]
+    assert {"lanes", "links", "pedestrian_shapes"} <= set(names)
+    assert [name for name in names if f"\n        {name}: " not in RoadMap.__doc__] == []
+
+
 @pytest.mark.parametrize("edge", ["CN", "NC", "CE"])
 def test_what_leads_beyond_the_rim_counts_in_the_right_of_way(cross, tmp_path: Path, edge: str) -> None:
     """Rows of a junction are numbered over all its connections; without those, later ones had another's row."""

@@ -283,7 +283,8 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
             outcome = f"valid failure: {outcome}" if is_valid_failure(row) else outcome
             outcome += ", then failed" if is_failure(row) else ""
         elif row.get("critical"):
-            outcome = f"critical near miss, {resolution_clause(row['resolved_by'])}"
+            who = f" with {row['near_miss_partner']}" if row.get("near_miss_partner") else ""
+            outcome = f"critical near miss{who}, {resolution_clause(row['resolved_by'])}"
         values = (_value_text(row["min_ttc_s"], "s"), _value_text(row["min_clearance_m"], "m"))
         sides = (row[side] + _options_text(row[f"{side}_options"]) for side in ("target", "background"))
         table.add_row(row["key"], *sides, outcome, *values)

@@ -72,6 +72,8 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
         nullable=True,
     ),
     "critical_brake_mps2": _real("m/s²", "braking that a reference driver needs, at most 9"),
+    "near_miss_partner": _text("the other of that near miss"),
+    "near_miss_time_s": _real("s", "its least time to collision, since the episode's start"),
     "resolved_by": _text(
         "party that avoided the collision: target, other, both; empty if the record ends before"
     ),

@@ -13,7 +13,7 @@ from advdiff_sumo.metrics.background_metrics import both_replayed
 from advdiff_sumo.metrics.breaches.offences import offences_sentence
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.collision_type import CollisionType
-from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
+from advdiff_sumo.metrics.columns import COLLISION_COLUMNS, CRITICAL_COLUMNS, EPISODE_COLUMNS, VERDICT_COLUMNS
 from advdiff_sumo.metrics.fault import OFF_ROAD
 from advdiff_sumo.metrics.offroad import OffRoad
 from advdiff_sumo.metrics.summary import Criticality, EpisodeMetrics, Judged, judged_collision, summarise
@@ -43,7 +43,7 @@ def episode_row(
         "route": " ".join(record.route) or None,
         "agents": int(tracks.valid.any(axis=1).sum()),
         **_collision_values(record, road, m),
-        **critical_values(m),
+        **critical_values(record, m),
         "offences": ", ".join(dict.fromkeys(x.kind for x in m.offences)),
         "offences_text": offences_sentence(m.offences) or None,
         "initial_overlaps": sum(c.initial for c in m.contacts),
@@ -111,14 +111,16 @@ def _collision_values(record: EpisodeRecord, road: RoadMap, m: EpisodeMetrics) -
     return {"target_collision": m.target_collision, **{names[k]: row.get(k) for k in names}, **verdict}
 
 
-def critical_values(m: EpisodeMetrics) -> dict[str, Value]:
+def critical_values(record: EpisodeRecord, m: EpisodeMetrics) -> dict[str, Value]:
     """Return the values of ``CRITICAL_COLUMNS``."""
     missed = m.near_miss
     if missed is None or not missed.critical:
-        return {"critical": False, "critical_brake_mps2": None, "resolved_by": None}
+        return {**dict.fromkeys(CRITICAL_COLUMNS), "critical": False}
     return {
         "critical": True,
         "critical_brake_mps2": missed.brake_mps2,
+        "near_miss_partner": record.tracks.ids[missed.row],
+        "near_miss_time_s": missed.time_s,
         "resolved_by": None if missed.resolved_by is None else str(missed.resolved_by),
     }
 

@@ -11,7 +11,6 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.reference import ReferenceDrive
 from advdiff_sumo.metrics.severity import badge, is_failure
 from advdiff_sumo.report.blocks import deviating_tracks, episode_block
@@ -22,10 +21,17 @@ from advdiff_sumo.report.labels import Labels
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.scene_picture import picture_of
-from advdiff_sumo.report.select import attacker_of, pictured_episodes
+from advdiff_sumo.report.select import attacker_of, nearest_s, pictured_episodes
 from advdiff_sumo.report.series import Series, series_of
 from advdiff_sumo.report.svg import svg_picture
-from advdiff_sumo.report.templates import further_offences, number, templates, title, words
+from advdiff_sumo.report.templates import (
+    further_offences,
+    near_miss_sentence,
+    number,
+    templates,
+    title,
+    words,
+)
 
 #: Pictures beyond this number of bytes are left out, the least severe episodes first.
 PICTURE_BYTES = 6_000_000
@@ -185,7 +191,7 @@ def facts_of(row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict
     """Return the texts and figures of one episode for the player, as plain values."""
     has_collided = bool(row["target_collision"])
     contact = row["collision_time_s"] if has_collided else None
-    moment = contact if contact is not None else row["min_clearance_time_s"]
+    moment = contact if contact is not None else nearest_s(row)
     background_collisions = [c for c in contacts if not c["with_target"] and not c["initial"]]
     return {
         "number": int(row["episode"]),
@@ -215,10 +221,7 @@ def _outcome(row: Row) -> str:
     if failed and not row["target_collision"]:
         return failed
     if row["critical"]:
-        brake = number(row["critical_brake_mps2"], 1, "m/s²")
-        return (
-            f"A careful driver would have had to brake at {brake}; {resolution_clause(row['resolved_by'])}."
-        )
+        return near_miss_sentence(row)
     if not row["target_collision"]:
         gap = number(row["min_clearance_m"], 2, "m")
         return f"No collision; the least gap was {gap}."

@@ -26,8 +26,14 @@ def pictured_episodes(ordered: Iterable[Row]) -> list[Row]:
 
 
 def attacker_of(row: Row) -> str | None:
-    """Return the target's collision partner, else the vehicle nearest to it in time, else in space; or None."""
-    for column in ("collision_partner", "min_ttc_partner", "min_clearance_partner"):
-        if row[column]:
+    """Return the partner of the target's collision or critical near miss, else who came nearest in time or space."""
+    for column in ("collision_partner", "near_miss_partner", "min_ttc_partner", "min_clearance_partner"):
+        if row.get(column):
             return str(row[column])
     return None
+
+
+def nearest_s(row: Row) -> float | None:
+    """Return the time of the critical near miss, else of the least clearance; None if nobody came near."""
+    near_miss_s: float | None = row.get("near_miss_time_s")
+    return row["min_clearance_time_s"] if near_miss_s is None else near_miss_s

@@ -18,7 +18,7 @@ from advdiff_sumo.report.layer import MapLayer, NetWindow
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.scene_picture import ATTACKER_NEAR_M, focus_points, impact_of
-from advdiff_sumo.report.select import attacker_of
+from advdiff_sumo.report.select import attacker_of, nearest_s
 
 _ROUNDING = 1e-6
 _MARGIN_M, _LEAST_WIDTH_M = 10.0, 45.0
@@ -61,7 +61,7 @@ class ChosenEpisode:
 
     @property
     def attacker(self) -> int | None:
-        """Row of the target's collision partner, else of the vehicle that came nearest to it, or None."""
+        """Row of the partner of the collision or critical near miss, else of who came nearest, or None."""
         name = attacker_of(self.row)
         return None if name is None else self.states.tracks.index.get(name)
 
@@ -80,7 +80,7 @@ class ChosenEpisode:
 
         Args:
             start_s: requested begin; None: *most_s* before the end.
-            end_s: requested end; None: the contact, or 1 s after the least distance, or the end of the episode.
+            end_s: requested end; None: the contact, 1 s after the near miss or least distance, or the episode's end.
             most_s: longest duration without a requested begin.
 
         Raises:
@@ -89,8 +89,8 @@ class ChosenEpisode:
         last_s = float(self.states.tracks.times_s[-1])
         if last_s <= 0.0 and self.row["end"] == "failed":
             raise ConfigError(f"the episode failed before it began: {self.row['failure_message']}")
-        nearest_s = self.row["min_clearance_time_s"]
-        after_nearest_s = None if nearest_s is None else nearest_s + 1.0
+        nearest = nearest_s(self.row)
+        after_nearest_s = None if nearest is None else nearest + 1.0
         event_s = self.contact_s if self.contact_s is not None else after_nearest_s
         end = end_s if end_s is not None else min(last_s, last_s if event_s is None else float(event_s))
         start = start_s if start_s is not None else max(0.0, end - most_s)

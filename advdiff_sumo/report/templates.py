@@ -40,7 +40,7 @@ def templates() -> Environment:
         "yes_no": yes_no,
         "title": title,
         "badge": badge,
-        "resolved": resolution_clause,
+        "near_miss": near_miss_sentence,
         "breaches_of": breaches_of,
         "further_offences": further_offences,
         "as_json": as_json,
@@ -71,6 +71,16 @@ def breaches_of(row: Mapping[str, Any]) -> list[str]:
     """Return the broken rules that led to an episode's collision, and all others that the target broke."""
     listed = ", ".join(row[name] or "" for name in ("target_breaches", "other_breaches", "offences"))
     return sorted({word for word in listed.split(", ") if word})
+
+
+def near_miss_sentence(row: Mapping[str, Any]) -> str:
+    """Return who and when a critical near miss was with (not of earlier versions), its braking, and who resolved it."""
+    partner, time_s = row["near_miss_partner"], row["near_miss_time_s"]
+    who = f"Near miss with '{partner}' at {number(time_s, 1, 's')}: a" if partner else "A"
+    brake = number(row["critical_brake_mps2"], 1, "m/s²")
+    return (
+        f"{who} careful driver would have had to brake at {brake}; {resolution_clause(row['resolved_by'])}."
+    )
 
 
 def further_offences(row: Mapping[str, Any]) -> str:

@@ -42,3 +42,13 @@ def test_configurations_of_one_planner_are_different_targets(capsys: pytest.Capt
     rows = [{**row, "target_options": given, "episode": k, "key": f"a{k}"} for k, given in enumerate(options)]
     _print_findings(Console(width=200, markup=False), findings(rows))
     assert "my:P defects:[late:strong] 1, my:P 2" in capsys.readouterr().out
+
+
+def test_the_partner_of_a_critical_near_miss_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"key": "a1", "target": "my:P", "background": "replay", "end": "horizon", "target_collision": False}
+    row |= {"target_options": "{}", "background_options": "{}", "min_ttc_s": 1.0, "min_clearance_m": 2.0}
+    row |= {"critical": True, "resolved_by": "other"}
+    print_worst(Console(width=200, markup=False), [{**row, "near_miss_partner": "v80"}, row])
+    out = capsys.readouterr().out
+    assert "critical near miss with v80, resolved by: other" in out
+    assert "critical near miss, resolved by: other" in out  # of a folder of an earlier version

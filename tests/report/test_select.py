@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from advdiff_sumo.metrics.severity import badge, worst_first
-from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, pictured_episodes
+from advdiff_sumo.report.select import UNEVENTFUL_SHOWN, attacker_of, nearest_s, pictured_episodes
 
 
 def _numbers(episodes: list[Any]) -> list[int]:
@@ -46,3 +46,11 @@ def test_attacker(rows: Any) -> None:
     assert attacker_of(rows.episode(0, min_ttc_partner="b", min_clearance_partner="c")) == "b"
     assert attacker_of(rows.episode(0, min_clearance_partner="c")) == "c"
     assert attacker_of(rows.episode(0)) is None
+
+
+def test_a_critical_near_miss_is_shown_with_its_own_partner_and_moment(rows: Any) -> None:
+    passing = {"min_ttc_partner": "b", "min_clearance_partner": "c", "min_clearance_time_s": 3.0}
+    near_miss = rows.episode(0, **passing, critical=True, near_miss_partner="d", near_miss_time_s=8.4)
+    assert (attacker_of(near_miss), nearest_s(near_miss)) == ("d", 8.4)
+    assert nearest_s(rows.episode(0, **passing)) == 3.0
+    assert nearest_s(rows.episode(0)) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
@@ -12,6 +13,7 @@ from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.series import series_of
+from advdiff_sumo.report.templates import near_miss_sentence
 from tests.metrics.encounter_folder import encounter_folder
 
 
@@ -64,3 +66,13 @@ def test_a_critical_near_miss_has_its_careful_driver_too(folder: Path) -> None:
     taken, _ = drive(folder, 2)
     assert taken is not None
     assert taken.accel_mps2.min() < -2.0
+
+
+def test_a_critical_near_miss_names_its_partner_and_moment(folder: Path) -> None:
+    row = pq.read_table(folder / "episodes.parquet").to_pylist()[2]
+    assert (row["near_miss_partner"], row["critical"]) == ("cutter", True)
+    sentence = near_miss_sentence(row)
+    assert sentence.startswith(f"Near miss with 'cutter' at {row['near_miss_time_s']:.1f}")
+    assert sentence in write_report(folder).read_text(encoding="utf-8").replace("&#39;", "'")
+    older = near_miss_sentence({**row, "near_miss_partner": None, "near_miss_time_s": None})
+    assert older.startswith("A careful driver would have had to brake at")

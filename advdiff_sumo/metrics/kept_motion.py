@@ -58,12 +58,14 @@ class DrivenWay:
     @staticmethod
     def of(tracks: Tracks, row: int, start: int) -> DrivenWay:
         """Return the way of *row* from instant *start* on, at which it must be present."""
-        present = tracks.valid[row, start:]
-        stop = start + (len(present) if present.all() else int(np.argmin(present)))
-        xy, yaw = tracks.xy_m[row, start:stop], np.unwrap(tracks.yaw_rad[row, start:stop])
+        absent = np.flatnonzero(~tracks.valid[row])
+        begin = int(max(absent[absent < start], default=-1)) + 1
+        stop = int(min(absent[absent > start], default=tracks.steps))
+        driven_s, driven_yaw = stations_m(tracks.xy_m[row, begin:stop]), tracks.yaw_rad[row, begin:stop]
+        xy, yaw = tracks.xy_m[row, start:stop], np.unwrap(driven_yaw[start - begin :])
         s = stations_m(xy)
         beyond_s = np.arange(1.0, _BEYOND_M + 1.0)
-        beyond_yaw = yaw[-1] + _last_curvature_1pm(s, yaw) * beyond_s
+        beyond_yaw = yaw[-1] + _last_curvature_1pm(driven_s, driven_yaw) * beyond_s
         sign = -1.0 if tracks.speed_mps[row, stop - 1] < 0.0 else 1.0
         beyond_xy = xy[-1] + np.cumsum(sign * unit(beyond_yaw), axis=0)
         return DrivenWay(

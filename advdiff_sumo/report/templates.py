@@ -75,7 +75,7 @@ def breaches_of(row: Mapping[str, Any]) -> list[str]:
 
 def near_miss_sentence(row: Mapping[str, Any]) -> str:
     """Return who and when a critical near miss was with (not of earlier versions), its braking, and who resolved it."""
-    partner, time_s = row["near_miss_partner"], row["near_miss_time_s"]
+    partner, time_s = row.get("near_miss_partner"), row.get("near_miss_time_s")
     who = f"Near miss with '{partner}' at {number(time_s, 1, 's')}: a" if partner else "A"
     brake = number(row["critical_brake_mps2"], 1, "m/s²")
     return (

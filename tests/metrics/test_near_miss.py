@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.metrics.collision import collisions
 from advdiff_sumo.metrics.criticality import smallest_value, time_to_collision
 from advdiff_sumo.metrics.near_miss import ResolvedBy, near_miss, resolution_clause
@@ -103,6 +104,22 @@ def test_an_oncoming_car_that_keeps_to_its_bend_is_not_critical(road) -> None:
         oncoming = bend("oncoming", (-38, 5.2), np.pi + 0.35, 8.0, -30.0, 41)
         found = near_miss(record_of(ego, oncoming), road)
         assert found is None or found.brake_mps2 == 0.0, speed
+
+
+def test_a_car_in_its_bend_as_the_record_ends_is_not_critical(road) -> None:
+    # At the end it is 8 m ahead and 6 m to the left of the target's centre and heads 0.6 rad across its lane: straight
+    # on it would be there in 6 / sin 0.6 = 10.6 m, at 9 m/s² of braking too. Its bend, with a radius of 10 m, takes it
+    # 10 (1 - cos 0.6) = 1.7 m nearer only.
+    steps, speed = 21, 5.4
+    end_yaw = np.pi + 0.6
+    centre = np.array([-60.0 + 1.8 * 2.0 + 8.0, -1.6 + 6.0]) + 10.0 * unit(np.array(end_yaw - 0.5 * np.pi))
+    start_yaw = end_yaw + speed * 2.0 / 10.0
+    start = centre + 10.0 * unit(np.array(start_yaw + 0.5 * np.pi))
+    turning = bend("turning", tuple(start), start_yaw, speed, -10.0, steps)
+    found = near_miss(record_of(straight("ego", (-60, -1.6), 0, 1.8, steps=steps), turning), road)
+    assert found is not None  # straight on they would meet
+    assert found.time_s == pytest.approx(2.0)
+    assert not found.critical
 
 
 @pytest.mark.parametrize(("gap_m", "least", "most"), [(14.4, 4.5, 5.5), (20.0, 3.0, 4.0)])

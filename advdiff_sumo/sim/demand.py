@@ -166,9 +166,14 @@ def car_lanes(road: RoadMap, edge_id: str) -> int:
 
 
 def person_types() -> Iterator[dict[str, str]]:
-    """Yield vType attributes of pedestrians with different walking speeds."""
+    """Yield vType attributes of pedestrians with different walking speeds.
+
+    ``desiredMaxSpeed`` is what SUMO writes into a saved state; without it they run at the limit of the sidewalk, 10
+    km/h, once an episode starts from that state.
+    """
     for number, speed_mps in enumerate(_WALKING_SPEEDS_MPS):
-        yield {"id": f"walker{number}", "vClass": "pedestrian", "maxSpeed": f"{speed_mps:g}", "speedDev": "0"}
+        speeds = dict.fromkeys(("maxSpeed", "desiredMaxSpeed"), f"{speed_mps:g}")
+        yield {"id": f"walker{number}", "vClass": "pedestrian", **speeds, "speedDev": "0"}
 
 
 def walks(

@@ -159,6 +159,17 @@ class Grasping:
         return JointPlan(still, exact=True), None
 
 
+def test_people_walk_in_an_episode_as_fast_as_before_it(scene: SeedScene, road: RoadMap) -> None:
+    """At 1.1 to 1.6 m/s, also those that SUMO has from the saved state."""
+    tracks = episode(scene, road, horizon_s=4.0).run()[0].tracks
+    before = scene.history.speed_mps[scene.history.classes == AgentClass.PEDESTRIAN]
+    during = tracks.speed_mps[tracks.classes == AgentClass.PEDESTRIAN]
+    for speed_mps in (before, during):
+        assert len(speed_mps) > 5
+        assert 0.9 < np.nanmedian(speed_mps) < 1.5
+        assert np.nanmax(speed_mps) <= 1.7
+
+
 @pytest.mark.parametrize("background", ["sumo", "replay", "grasping"])
 def test_people_walk_by_themselves_in_an_episode(background: str, scene: SeedScene, road: RoadMap) -> None:
     policy: Any = Grasping() if background == "grasping" else background

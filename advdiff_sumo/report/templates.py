@@ -13,6 +13,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from advdiff_sumo.core.wording import counted
 from advdiff_sumo.metrics.near_miss import resolution_clause
 from advdiff_sumo.metrics.severity import badge
 
@@ -34,6 +35,7 @@ def templates() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {
+        "counted": counted,
         "number": number,
         "percent": percent,
         "words": words,

@@ -14,11 +14,12 @@ import pytest
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.matrix import matrix_of
+from advdiff_sumo.report.matrix import ArchiveLine, ArchiveTable, matrix_of
 from advdiff_sumo.report.nets import place_name, place_names
 from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned_tracks
 from advdiff_sumo.report.sample_pictures import Samples, samples_by_background, samples_of
+from advdiff_sumo.report.templates import templates
 from advdiff_sumo.sweep.spec import SweepSpec
 
 
@@ -229,3 +230,11 @@ def test_places_of_one_name_are_told_apart_by_their_folders() -> None:
         "downtown": "downtown",
         "/my/downtown.net.xml": "my-downtown",
     }
+
+
+def test_the_kinds_of_encounters_are_counted_in_words() -> None:
+    line = ArchiveLine("crossing", "oncoming", (None,) * 4)
+    archives = [ArchiveTable(name, 0, met, (line,) * met) for name, met in (("a", 1), ("b", 2))]
+    page = templates().get_template("archive.html").render(archives=archives, manoeuvres=(), played=())
+    assert "a: encounters of 1 kind, valid" in page
+    assert "b: encounters of 2 kinds, valid" in page

@@ -83,6 +83,11 @@ class Party:
         return not self.is_pedestrian and self.overhang_m > INTRUSION_M
 
     @property
+    def drove_link(self) -> bool:
+        """Whether its centre has been on its link over the junction; else that link is only the likely one."""
+        return self.link is not None and not set(self.link.via).isdisjoint(self.lanes.lane)
+
+    @property
     def is_pedestrian(self) -> bool:
         """Whether it is a pedestrian, to whom the rules about lanes do not apply."""
         return self.agent_class == AgentClass.PEDESTRIAN
@@ -112,7 +117,9 @@ class Encounter:
         target: the first of the two: the tested vehicle, where it takes part.
         other: its partner.
         junction: id of the junction on which it happened, or None.
-        merged: id of the junction on which their ways joined within ``BREACH_WINDOW_S`` before, or None.
+        merged: id of the junction on which their ways joined, or met beside the centres of both, within
+            ``BREACH_WINDOW_S`` before; else None.
+        ways_meet: whether the links by which they cross that junction conflict in the net: they cross or join.
         entry: the entry of one into the other's lane within ``BREACH_WINDOW_S``, or None.
         start: first instant of the history.
     """
@@ -122,6 +129,7 @@ class Encounter:
     other: Party
     junction: str | None
     merged: str | None
+    ways_meet: bool
     entry: LaneEntry | None
     start: int
 
@@ -144,7 +152,9 @@ class Encounter:
     def crossing(self) -> bool:
         """Whether the two came to a common junction from different approaches.
 
-        If an approach is unknown, the headings decide. A pedestrian has no approach: False.
+        Lanes of one edge whose ways over the junction conflict, as where one turns across the other, are different
+        approaches once both are on these ways. If an approach is unknown, the headings decide. A pedestrian has no
+        approach: False.
         """
         if self.merged is not None:
             return True
@@ -153,7 +163,9 @@ class Encounter:
         first, second = self.target.link, self.other.link
         if first is None or second is None:
             return self.collision.heading_difference_rad > 0.25 * np.pi
-        return first.from_lane.rsplit("_", 1)[0] != second.from_lane.rsplit("_", 1)[0]
+        if first.from_lane.rsplit("_", 1)[0] != second.from_lane.rsplit("_", 1)[0]:
+            return True
+        return self.ways_meet and all(x.drove_link for x in self.parties)
 
 
 def encounter_of(view: TrafficView, collision: Collision) -> Encounter:
@@ -165,8 +177,10 @@ def encounter_of(view: TrafficView, collision: Collision) -> Encounter:
     junction = next((x for x in junctions if x is not None), None)
     merged = None if junction is not None else _merge_junction(view, collision, placements)
     target, other = (_party(view, collision, i, placements, junction or merged, start) for i in (0, 1))
+    first, second = target.link, other.link
+    meet = first is not None and second is not None and ways_meet(view.road, first, second)
     entry = _first_lane_entry(view, target, other, start, step)
-    return Encounter(collision, target, other, junction, merged, entry, start)
+    return Encounter(collision, target, other, junction, merged, meet, entry, start)
 
 
 def _first_lane_entry(
@@ -182,7 +196,10 @@ def _first_lane_entry(
 
 
 def _merge_junction(view: TrafficView, collision: Collision, placements: list[Placement]) -> str | None:
-    """Return the junction that both crossed recently, from different edges, and on which their ways joined."""
+    """Return the junction that both crossed recently, from different lanes, and on which their ways joined.
+
+    If only the front of one has reached the junction, where the rear of the other still is, ways that cross count, too.
+    """
     recent, rows = view.steps(BREACH_WINDOW_S), collision.rows
     backwards = ([junction_of(view.road, x) for x in p.lane[: -recent - 2 : -1]] for p in placements)
     recent_junctions: dict[str, None] = dict.fromkeys(
@@ -192,21 +209,26 @@ def _merge_junction(view: TrafficView, collision: Collision, placements: list[Pl
         first, second = (_recent_link(view, rows[i], placements[i], junction) for i in (0, 1))
         if first is None or second is None:
             continue
-        if _join(view.road, first, second):
+        enters = any(p.lane[-1] == x.from_lane for p, x in zip(placements, (first, second), strict=True))
+        if _join(view.road, first, second) or (enters and _cross(view.road, first, second)):
             return junction
     return None
 
 
+def _cross(road: RoadMap, first: Link, second: Link) -> bool:
+    """Return whether two links of a junction come from different edges and conflict in the net."""
+    from_first, from_second = (road.lanes[x.from_lane].edge_id for x in (first, second))
+    return from_first != from_second and ways_meet(road, first, second)
+
+
 def _join(road: RoadMap, first: Link, second: Link) -> bool:
-    """Return whether two links of a junction come from different edges and join.
+    """Return whether two links of a junction come from different lanes and join.
 
     Links that lead to separate lanes of one edge, as where a ramp adds a lane, do not join.
     """
-    (from_first, to_first), (from_second, to_second) = (
-        (road.lanes[x.from_lane].edge_id, road.lanes[x.to_lane].edge_id) for x in (first, second)
-    )
+    to_first, to_second = (road.lanes[x.to_lane].edge_id for x in (first, second))
     joins = first.to_lane == second.to_lane or ways_meet(road, first, second)
-    return from_first != from_second and to_first == to_second and joins
+    return first.from_lane != second.from_lane and to_first == to_second and joins
 
 
 def ways_meet(road: RoadMap, first: Link, second: Link) -> bool:
@@ -370,7 +392,8 @@ def links_onto(road: RoadMap, lane_id: str | None, junction: str) -> tuple[Link,
     return tuple(x for x in road.lanes[lane_id].successors if x.junction_id == junction)
 
 
-def _fit(road: RoadMap, link: Link, driven: Sequence[str], route: tuple[str, ...]) -> tuple[int, bool]:
-    """Return the number of *driven* lanes that are on *link*, and whether it is on the *route*."""
+def _fit(road: RoadMap, link: Link, driven: Sequence[str], route: tuple[str, ...]) -> tuple[int, bool, bool]:
+    """Return the number of *driven* lanes on *link*, whether it is on the *route*, and whether it goes straight on."""
     on_route = (road.lanes[link.from_lane].edge_id, road.lanes[link.to_lane].edge_id) in set(pairwise(route))
-    return sum(x in link.via or x == link.to_lane for x in driven), on_route
+    driven_count = sum(x in link.via or x == link.to_lane for x in driven)
+    return driven_count, on_route, link.direction == "s"

@@ -7,7 +7,7 @@ import numpy as np
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.junction_rules import breach_towards_pedestrian, signals_are_unknown
-from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party, ways_meet
+from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party
 from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
@@ -24,7 +24,8 @@ def wrong_side(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     """Return the breach of driving against the lane, or over its edge into oncoming traffic.
 
     It did not lead to the collision if the other ran into its rear, or came over to its side first. If their ways over
-    a junction meet, the rule is giving way instead, since a long vehicle that turns there reaches out of its lane.
+    a junction meet and the other is on it, the rule is giving way instead, since a long vehicle that turns there
+    reaches out of its lane.
     """
     party = case.parties[index]
     if party.is_pedestrian or party.stands or case.is_run_into(index):
@@ -37,16 +38,11 @@ def wrong_side(view: TrafficView, case: Encounter, index: int) -> Breach | None:
     facing = case.collision.heading_difference_rad > OPPOSITE_RAD and not case.crossing
     reaches_over = facing and party.leaves_lane and party.intrudes
     enters = entry is not None and entry.oncoming and entry.row == party.row and entry.leaves_lane
-    entered = enters and not _ways_meet(view, case)
+    turns_across = case.crossing and case.ways_meet and case.parties[1 - index].drove_link
+    entered = enters and not turns_across
     if reaches_over or entered or on_opposite_lane(view, party.row, party.lanes, at, case.start):
         return _breach(view, case, BreachKind.WRONG_SIDE, party, "was on the wrong side of the road")
     return None
-
-
-def _ways_meet(view: TrafficView, case: Encounter) -> bool:
-    """Return whether the ways of the two parties over a common junction cross or join in the net."""
-    first, second = (party.link for party in case.parties)
-    return case.crossing and first is not None and second is not None and ways_meet(view.road, first, second)
 
 
 def on_opposite_lane(view: TrafficView, row: int, lanes: Placement, at: int, start: int) -> bool:
@@ -87,8 +83,9 @@ def lane_entry_breach(view: TrafficView, case: Encounter, index: int) -> Breach 
     other = case.parties[1 - index]
     lane = "lane" if other.is_pedestrian else f"lane of '{other.name}'"
     if entry.gap_m < 0.0:
-        return Breach(BreachKind.SIDEWAYS, party.row, entry.time_s, f"moved sideways into the {lane}")
-    gaps = f"{entry.gap_m:.1f} m ahead, where {entry.needed_m:.1f} m are needed"
+        moved = "walked" if party.is_pedestrian else "moved sideways"
+        return Breach(BreachKind.SIDEWAYS, party.row, entry.time_s, f"{moved} into the {lane}, beside it")
+    gaps = f"{entry.gap_m:.1f} m ahead ({entry.needed_m:.1f} m are needed)"
     return Breach(BreachKind.UNSAFE_LANE_ENTRY, party.row, entry.time_s, f"entered the {lane} {gaps}")
 
 
@@ -101,9 +98,15 @@ def sideways_breach(view: TrafficView, case: Encounter, index: int) -> Breach | 
     if case.collision.heading_difference_rad > SAME_WAY_RAD or end_to_end:
         return None
     keeps_lane = not (party.overhang_m > -_AT_EDGE_M or party.changed_lane)
-    if keeps_lane or sideways_mps(view, case, index) <= _DRIFT_MPS:
+    if (keeps_lane and not _abreast(party, other)) or sideways_mps(view, case, index) <= _DRIFT_MPS:
         return None
     return _breach(view, case, BreachKind.SIDEWAYS, party, f"moved sideways into '{other.name}'")
+
+
+def _abreast(party: Party, other: Party) -> bool:
+    """Return whether the two touched side by side within one lane, as when a car passes a bicycle there."""
+    sides = {"left", "right"} >= {party.face, other.face}
+    return sides and party.lanes.lane[-1] == other.lanes.lane[-1]
 
 
 def sideways_mps(view: TrafficView, case: Encounter, index: int) -> float:

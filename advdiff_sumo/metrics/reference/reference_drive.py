@@ -17,6 +17,7 @@ from advdiff_sumo.core.errors import UnknownNameError
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.metrics.breaches.conduct_rules import REVERSING_MPS
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.encounter import Encounter
 from advdiff_sumo.metrics.reference.corridor import (
@@ -257,11 +258,13 @@ class ReferenceDrivers:
 
     def _takeover(self, driver: DriverModel) -> int:
         """Return the instant, counted from the earliest possible takeover, at which *driver* takes over."""
+        reverses = self._tracks.speed_mps[self._record.target] < -REVERSING_MPS
         safe = [
             not must_stop
+            and not reverses[k]
             and not self._is_beside(meetings)
             and not (required_braking_mps2(driver, meetings) > 0.0).any()
-            for meetings, must_stop in self._recorded_situations[: self._latest_takeover + 1]
+            for k, (meetings, must_stop) in enumerate(self._recorded_situations[: self._latest_takeover + 1])
         ]
         return _last_safe(np.array(safe), round(_SAFE_FOR_S / self._tracks.dt_s))
 

@@ -130,8 +130,8 @@ def _joined_unsafely(view: TrafficView, case: Encounter, kind: CollisionType, st
     return _junction(view, case, kind)
 
 
-def _cut_in(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
-    return None if case.cut_in is None else _by_gap(case, case.cut_in)
+def _cut_in(_view: TrafficView, case: Encounter, kind: CollisionType) -> Fault | None:
+    return None if case.cut_in is None else _by_lane_entry(case, case.cut_in, kind)
 
 
 def _by_gap(case: Encounter, entry: LaneEntry) -> Fault:
@@ -160,10 +160,11 @@ def _lane_keeping(view: TrafficView, case: Encounter, kind: CollisionType) -> Fa
 def _by_lane_entry(case: Encounter, entry: LaneEntry, kind: CollisionType) -> Fault | None:
     if entry.gap_m >= 0.0 and not entry.oncoming and kind is not CollisionType.HEAD_ON:
         return _by_gap(case, entry)
-    where = "of oncoming traffic" if entry.oncoming else "beside it"
+    name, oncoming = f"'{case.other.name}'", "the oncoming " if entry.oncoming else ""
+    where = "" if entry.oncoming else " beside it" if entry.gap_m < 0.0 else " ahead of it"
     if entry.row == case.target.row:
-        return Fault(AtFault.TARGET, f"The target moved into the lane of '{case.other.name}' {where}.")
-    return Fault(AtFault.OTHER, f"'{case.other.name}' moved into the target's lane {where}.")
+        return Fault(AtFault.TARGET, f"The target moved into the lane of {oncoming}{name}{where}.")
+    return Fault(AtFault.OTHER, f"{name} moved into the lane of {oncoming or 'the '}target{where}.")
 
 
 def _by_drift(view: TrafficView, case: Encounter) -> Fault | None:

@@ -82,8 +82,7 @@ def _driver_clause(case: Encounter, drive: ReferenceDrive | None, preventable_by
     if from_behind or _stands_at_contact(drive):
         by = "" if hits_partner else f" by '{drive.contact_with}'"
         return f"even {driver} {braking}is run into{by} at {drive.impact_mps:.1f} m/s{other_models}"
-    hit = "it" if hits_partner else f"'{drive.contact_with}'"
-    return f"even {driver} {braking}collides with {hit} at {drive.impact_mps:.1f} m/s{other_models}"
+    return f"even {driver} {braking}collides with '{drive.contact_with}' at {drive.impact_mps:.1f} m/s{other_models}"
 
 
 def _stands_at_contact(drive: ReferenceDrive) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import target_leaves_road
@@ -72,6 +73,37 @@ def test_rear_ended_while_standing(road) -> None:
         "Even a careful and competent driver who stands still is run into at 12.0 m/s; "
         "'fast' ran into the target, which stood."
     )
+
+
+def test_a_driver_does_not_reverse(road) -> None:
+    """The target reverses 6 m into a standing vehicle; a driver who stands where it set off stays clear."""
+    back = driven("back", (-80, -1.6), 0, np.where(np.arange(51) < 10, 0.0, -2.0))
+    still = straight("still", (-90, -1.6), 0, 0, steps=51)
+    result = verdict(record_of(back, still), road)
+    assert result.valid_failure
+    assert result.sentence == (
+        "A careful and competent driver who stands still stays 6.0 m clear; 'still' broke no rule; "
+        "the target was reversing."
+    )
+
+
+def test_who_came_from_where(road) -> None:
+    """The lorry (18 m) enters beside the target's front; the walker stood; the car comes from off the road."""
+    slow = np.full(61, 10.0)
+    lorry = driven(
+        "lorry", (-108, -4.8), 0, slow, left=np.clip(0.1 * np.arange(-10, 51), 0, 3.2), size=(18, 2.5)
+    )
+    beside = verdict(record_of(straight("ego", (-114, -1.6), 0, 10, steps=61), lorry), road)
+    assert str(beside.kind) == "cut_in"
+    assert beside.fault.reason == "'lorry' moved into the lane of the target beside it."
+    assert "'lorry' moved sideways into the lane of the target, beside it." in beside.sentence
+    ego = straight("ego", (-132, -4.8), 0, 12, steps=61)
+    walker = driven(
+        "walker", (-100, -4.8), NORTH, 0 * slow, size=(0.6, 0.6), agent_class=AgentClass.PEDESTRIAN
+    )
+    assert "the target ran into 'walker', who stood." in verdict(record_of(ego, walker), road).sentence
+    car = driven("car", (-100, -16), NORTH, np.full(61, 4.0))
+    assert "m are needed) and was off the road." in verdict(record_of(ego, car), road).sentence
 
 
 def test_a_driver_that_stands_where_the_target_set_off_stays_clear(road) -> None:

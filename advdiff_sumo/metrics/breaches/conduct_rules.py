@@ -92,7 +92,7 @@ def drove_off_road(view: TrafficView, row: int, start: int, stop: int) -> Breach
     off = np.flatnonzero(share > OFF_ROAD_SHARE)
     if not off.size:
         return None
-    return Breach(BreachKind.OFF_ROAD, row, view.time_s(int(steps[off[0]])), "left the road")
+    return Breach(BreachKind.OFF_ROAD, row, view.time_s(int(steps[off[0]])), "was off the road")
 
 
 def closing_mps(case: Encounter, index: int) -> float:

@@ -45,9 +45,9 @@ def ran_into(view: TrafficView, case: Encounter, index: int, excused: bool) -> B
 
 def _striking_text(view: TrafficView, case: Encounter, other: Party) -> str | None:
     """Return the phrase for running into *other*; None if it could not be expected there."""
-    name = f"'{other.name}'"
+    name, who = f"'{other.name}'", "who" if other.is_pedestrian else "which"
     if other.stood:
-        return f"ran into {name}, which stood"
+        return f"ran into {name}, {who} stood"
     same_way = case.collision.heading_difference_rad <= SAME_WAY_RAD
     braking = hardest_brake_mps2(view, other.row, case.collision.step)
     hard = braking > EXPECTED_BRAKE_MPS2 + _BRAKE_TOLERANCE_MPS2
@@ -56,7 +56,7 @@ def _striking_text(view: TrafficView, case: Encounter, other: Party) -> str | No
     entry = case.entry
     entered_safely = entry is not None and entry.row == other.row and (entry.safe or entry.recovered)
     if entered_safely and not hard and not case.crossing and not (entry is not None and entry.oncoming):
-        return f"ran into {name}, which had entered its lane with room to brake"
+        return f"ran into {name}, {who} had entered its lane with room to brake"
     return None
 
 

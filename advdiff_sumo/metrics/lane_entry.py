@@ -245,12 +245,16 @@ def _entered(
 
 
 def _keeps(view: TrafficView, keeping: int, corridor: _Corridor, start: int, step: int, entered: int) -> bool:
-    """Return whether *keeping* had not left its lane by the instant *entered*, nor changed to it shortly before."""
+    """Return whether *keeping* had not left its lane by the instant *entered*, nor changed to it shortly before.
+
+    Who was in its present lane before it changed to that did not enter its lane.
+    """
     if corridor.change is not None and start + corridor.change < entered:
         return False
     since = entered - start - view.steps(CUT_IN_WINDOW_S)
     lanes = view.place(keeping, start, step + 1).lane
-    changed = any(since < i <= entered - start for i in lane_changes(view.road, lanes))
+    until = step - start if corridor.change is None else entered - start
+    changed = any(since < i <= until for i in lane_changes(view.road, lanes))
     return not changed and bool(corridor.overhang_m[entered - start] <= INTRUSION_M)
 
 

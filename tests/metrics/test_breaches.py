@@ -294,6 +294,16 @@ def test_sideways(road) -> None:
     assert broken(record_of(drifting, steady), road) == (["sideways"], [])
 
 
+def test_a_lane_is_entered_by_who_changes_to_it_and_not_by_who_is_there(road) -> None:
+    """The motorcycle's centre is over the line (y = -3.2) at 0.9 s, where it touches the car's left side (y = -3.8)."""
+    car = straight("car", (-120, -4.8), 0, 12)
+    left = -np.clip(0.3 * np.arange(-3, 38), 0.0, 3.2)
+    motorcycle = driven("motorcycle", (-116, -1.6), 0, np.full(41, 10.0), left=left, size=(2.2, 0.8))
+    assert broken(record_of(car, motorcycle), road) == ([], ["sideways"])
+    assert broken(record_of(motorcycle, car), road) == (["sideways"], [])
+    assert blame(record_of(motorcycle, car), road)[1] == "target"
+
+
 def test_both_drift_into_each_other(road) -> None:
     # they touch at 0.75 s, on the line between their lanes
     left, right = (

@@ -22,6 +22,8 @@ from advdiff_sumo.metrics.breaches.junction_rules import (
     later_by_s,
     must_yield,
     ran_red,
+    red_light,
+    right_of_way,
     signals_are_unknown,
 )
 from advdiff_sumo.metrics.breaches.lane_rules import sideways_breach
@@ -76,12 +78,18 @@ def _pushed(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault |
     return Fault(AtFault.OTHER, f"'{view.tracks.ids[third]}' had run into the target before.")
 
 
-def _standing(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
-    if case.target.stands and not case.other.stands:
+def _standing(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
+    if case.target.stands and not case.other.stands and not _stopped_in_the_way(view, case):
         return Fault(AtFault.OTHER, f"The target stood still when '{case.other.name}' ran into it.")
     if case.other.stood and not case.target.stands:
         return Fault(AtFault.TARGET, f"The target ran into '{case.other.name}', which was standing.")
     return None
+
+
+def _stopped_in_the_way(view: TrafficView, case: Encounter) -> bool:
+    """Return whether the target stopped too late for the other, after it ran a red light or took the other's way."""
+    came_by_breach = red_light(view, case, 0) is not None or right_of_way(view, case, 0) is not None
+    return came_by_breach and not case.target.stood
 
 
 def _wrong_way(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:

@@ -17,6 +17,7 @@ from advdiff_sumo.metrics.collision import collisions, target_collision
 from advdiff_sumo.metrics.offroad import background_off_road, target_leaves_road
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.metrics.summary import attacker_visible, judged_collision, summarise
+from tests.metrics.encounters import braking, driven
 
 NORTH = math.pi / 2
 
@@ -47,6 +48,15 @@ def test_standing_vehicles(straight, record_of, road) -> None:
         "other",
         "The target stood still when 'moving' ran into it.",
     )
+
+
+@pytest.mark.parametrize(("stops_after_s", "fault"), [(0.9, "target"), (0.1, "other")])
+def test_stopping_in_the_way_of_who_has_priority(straight, record_of, road, stops_after_s, fault) -> None:
+    """From 10 m/s, 6 m/s² stop the target in 1.7 s across the lane of the other, who is there at 2.8 or 3.8 s."""
+    north = driven("north", (1.6, -19 + 8 * (0.9 - stops_after_s)), NORTH, braking(10, stops_after_s, 6, 61))
+    east = straight("east", (-34.5 - 12 * (fault == "other"), -1.6), 0, 12, steps=61)
+    record = record_of(north, east, route=("SC", "CN"))
+    assert outcome(record, road)[:2] == ("junction", fault)
 
 
 def test_cut_in_with_too_small_a_gap_is_the_others_fault(straight, record_of, road) -> None:

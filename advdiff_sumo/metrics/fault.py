@@ -166,7 +166,8 @@ def _lane_keeping(view: TrafficView, case: Encounter, kind: CollisionType) -> Fa
 
 
 def _by_lane_entry(case: Encounter, entry: LaneEntry, kind: CollisionType) -> Fault | None:
-    if entry.gap_m >= 0.0 and not entry.oncoming and kind is not CollisionType.HEAD_ON:
+    head_on = kind is CollisionType.HEAD_ON and not any(x.is_pedestrian for x in case.parties)
+    if entry.gap_m >= 0.0 and not entry.oncoming and not head_on:
         return _by_gap(case, entry)
     name, oncoming = f"'{case.other.name}'", "the oncoming " if entry.oncoming else ""
     where = "" if entry.oncoming else " beside it" if entry.gap_m < 0.0 else " ahead of it"

@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.boxes import corners
 from advdiff_sumo.core.polylines import SAME_POINT_M, Polyline
+from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
@@ -40,7 +41,7 @@ class LaneEntry:
         step: instant of the entry.
         time_s: time of the entry since the episode's start.
         length_m: length of the entering box.
-        oncoming: whether the two face each other.
+        oncoming: whether two vehicles face each other; False for a pedestrian, who may walk in any direction.
         leaves_lane: whether it leaves a lane of its own; False where two lanes merge or cross.
         recovered: whether the gap was safe again at some later instant before the end.
     """
@@ -222,7 +223,7 @@ def _entry(
         step=entered,
         time_s=view.time_s(entered),
         length_m=float(tracks.size_m[entering, 0]),
-        oncoming=bool(cos[0] < np.cos(OPPOSITE_RAD)),
+        oncoming=bool(cos[0] < np.cos(OPPOSITE_RAD)) and tracks.classes[entering] != AgentClass.PEDESTRIAN,
         leaves_lane=_leaves_own_lane(view, entering, start, step, entered),
         recovered=bool((gap >= safe_gap_m(follower_mps, np.maximum(0.0, leader_mps)))[1:].any()),
     )

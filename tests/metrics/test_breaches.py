@@ -331,6 +331,26 @@ def test_a_slow_pedestrian_far_ahead_and_one_that_runs_out(road) -> None:
     assert broken(record_of(ego, sudden), road) == ([], ["unsafe_lane_entry"])
 
 
+@pytest.mark.parametrize(
+    ("xy", "mps", "fault", "expected"),
+    [
+        # 1 m/s across: in the lane (its corner, at 0.4 m, beyond y = -6.1) from 1.5 s on, hit at about 2 s
+        ((-117.8, -8.0), 2.0, "other", ([], ["unsafe_lane_entry"])),
+        # 0.14 m/s across: in the lane from 2.1 s on, 28 m ahead, where 21 m are needed; hit at about 4.4 s
+        ((-94.1, -6.8), 0.28, "target", (["ran_into"], [])),
+    ],
+)
+def test_a_pedestrian_who_walks_towards_the_vehicle_enters_its_lane_too(
+    road, xy, mps, fault, expected
+) -> None:
+    ego = straight("ego", (-150, -4.8), 0, 12, steps=61)
+    walker = driven(
+        "walker", xy, math.radians(150), np.full(61, mps), size=(0.6, 0.6), agent_class=AgentClass.PEDESTRIAN
+    )
+    assert broken(record_of(ego, walker), road) == expected
+    assert blame(record_of(ego, walker), road)[1] == fault
+
+
 @pytest.mark.parametrize("name", ["C", "north_c"])
 def test_running_into_a_pedestrian_on_a_crossing_and_beyond_it(tmp_path, name) -> None:
     """The name of a junction may contain "_c", as those of crossings do."""

@@ -20,6 +20,7 @@ from advdiff_sumo.metrics.lane_entry import (
     reaches_into,
 )
 from advdiff_sumo.metrics.placement import Placement
+from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
 #: Lanes are looked up this far back; long enough to find the approach to a junction.
@@ -58,6 +59,7 @@ class Party:
         entered_step: instant at which its centre entered that junction. If only its front has entered and it does not
             stand, the instant before the contact. None if neither is recorded.
         line_step: instant since which its front was over the stop line then; None if ``entered_step`` is.
+        present_s: time for which it has been there; inf if since the record's start.
     """
 
     row: int
@@ -76,6 +78,7 @@ class Party:
     link: Link | None
     entered_step: int | None
     line_step: int | None
+    present_s: float
 
     @property
     def leaves_lane(self) -> bool:
@@ -147,6 +150,11 @@ class Encounter:
         """The entry, if it was within ``CUT_IN_WINDOW_S`` of the contact."""
         recent = self.entry is not None and self.collision.time_s - self.entry.time_s <= CUT_IN_WINDOW_S + 0.1
         return self.entry if recent else None
+
+    @property
+    def newcomer(self) -> Party | None:
+        """The party that appeared so late that no driver could have reacted; None if neither did."""
+        return next((party for party in self.parties if party.present_s < RESPONSE_S), None)
 
     @property
     def crossing(self) -> bool:
@@ -278,7 +286,14 @@ def _party(
         link=link,
         entered_step=None if entered is None else start + entered,
         line_step=None if over_line is None else start + over_line,
+        present_s=_present_s(view, row, collision),
     )
+
+
+def _present_s(view: TrafficView, row: int, collision: Collision) -> float:
+    """Return the time since agent *row* appeared; inf if it was there at the record's start."""
+    absent = np.flatnonzero(~view.tracks.valid[row, : collision.step + 1])
+    return float(collision.time_s - view.time_s(int(absent[-1]) + 1)) if len(absent) else np.inf
 
 
 def junction_entries(view: TrafficView, row: int) -> Iterator[JunctionEntry]:

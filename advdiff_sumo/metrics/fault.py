@@ -63,12 +63,23 @@ _Rule = Callable[[TrafficView, Encounter, CollisionType], Fault | None]
 
 def fault_of(view: TrafficView, case: Encounter, kind: CollisionType) -> Fault:
     """Return the fault in a collision with another agent, by the first rule that applies."""
-    rules: tuple[_Rule, ...] = (_pushed, _standing, _wrong_way, _reversing, _with_pedestrian, _RULES[kind])
+    first_rules: tuple[_Rule, ...] = (_appeared, _pushed, _standing, _wrong_way, _reversing, _with_pedestrian)
+    rules = (*first_rules, _RULES[kind])
     for rule in rules:
         fault = rule(view, case, kind)
         if fault is not None:
             return fault
     return Fault(AtFault.UNCLEAR, "No rule says which of the two caused it.")
+
+
+def _appeared(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
+    newcomer = case.newcomer
+    if newcomer is None:
+        return None
+    reason = (
+        f"'{newcomer.name}' appeared {newcomer.present_s:.1f} s before the contact, too late to react to."
+    )
+    return Fault(AtFault.UNCLEAR, reason)
 
 
 def _pushed(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:

@@ -45,7 +45,8 @@ class Verdict:
         spare_m: least gap of the ``YARDSTICK`` driver to the other party; None if it collides.
         spare_s: least time until that driver meets a road user, extrapolated at each instant; None if it collides.
         impact_left_mps: closing speed at which that driver still collides; None if it does not.
-        valid_failure: whether the other is lawful and the collision preventable, or the target is at fault by rule.
+        valid_failure: whether the other is lawful and the collision preventable, or the target is at fault by rule;
+            False if one of the two appeared too late to react to.
         solvable: whether the clairvoyant search found a drive that avoids it; None if it was not run.
         unavoidable: whether no reference driver and no drive of that search avoids it; None if no driver does and the
             search was not run.
@@ -120,7 +121,8 @@ def judge(
         spare_m=None if clear is None else clear.spare_m,
         spare_s=None if clear is None else clear.spare_s,
         impact_left_mps=None if colliding is None else colliding.impact_mps,
-        valid_failure=fault.at_fault is AtFault.TARGET or (lawful and bool(preventable)),
+        valid_failure=fault.at_fault is AtFault.TARGET
+        or (lawful and bool(preventable) and case.newcomer is None),
         solvable=solvable,
         unavoidable=_unavoidable(preventable_by, solvable),
         not_judged=not_judged,
@@ -162,6 +164,11 @@ def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool
 def _not_judged(view: TrafficView, case: Encounter, has_drives: bool) -> tuple[str, ...]:
     links = [party.link for party in case.parties]
     missing = []
+    if case.newcomer is not None:
+        name, present_s = case.newcomer.name, case.newcomer.present_s
+        missing.append(
+            f"whether it counts ('{name}' appeared {present_s:.1f} s before, too late to react to)"
+        )
     if not view.signals and any(link is not None and link.tls_id is not None for link in links):
         missing.append("red lights (no signals recorded)")
     if signals_are_unknown(view, case):

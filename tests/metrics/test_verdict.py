@@ -63,6 +63,19 @@ def test_a_cut_in_at_a_third_of_a_second_is_unavoidable(road) -> None:
     assert "a drive exists that avoids it" in searched[True].sentence
 
 
+@pytest.mark.parametrize(("present_s", "counts"), [(0.6, False), (0.9, True)])
+def test_who_appeared_within_the_time_to_react_is_no_failure(road, present_s: float, counts: bool) -> None:
+    """At 10 m/s the front at x = −118 reaches the rear at −82 after 3.6 s."""
+    record = record_of(straight("ego", (-120, -1.6), 0, 10), straight("still", (-80, -1.6), 0, 0))
+    valid = record.tracks.valid.copy()
+    valid[1, : round((3.6 - present_s) / record.tracks.dt_s)] = False
+    xy = np.where(valid[..., None], record.tracks.xy_m, np.nan)
+    result = verdict(replace(record, tracks=replace(record.tracks, valid=valid, xy_m=xy)), road)
+    assert result.valid_failure is counts
+    assert (str(result.fault.at_fault) == "target") is counts
+    assert ("'still' appeared 0.6 s before, too late to react to" in result.sentence) is not counts
+
+
 def test_rear_ended_while_standing(road) -> None:
     still, fast = straight("still", (-80, -1.6), 0, 0), straight("fast", (-110, -1.6), 0, 12)
     result = verdict(record_of(still, fast), road)

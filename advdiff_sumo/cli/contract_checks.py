@@ -17,7 +17,7 @@ FAILS = 1
 _STATES = {True: Text("ok", style="green"), False: Text("fails", style="red"), None: Text("–")}
 
 Net: TypeAlias = Annotated[
-    str, typer.Option(help="SUMO net to drive on, or a shipped one: downtown, downtown-left, motorway.")
+    str, typer.Option(help="SUMO net, or a shipped one: downtown, downtown-left, downtown-people, motorway.")
 ]
 Episodes: TypeAlias = Annotated[int, typer.Option(min=1, help="Drives in SUMO's traffic.")]
 Horizon: TypeAlias = Annotated[float, typer.Option(min=1.0, help="Their length in seconds.")]

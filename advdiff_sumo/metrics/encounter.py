@@ -152,9 +152,10 @@ class Encounter:
         return self.entry if recent else None
 
     @property
-    def newcomer(self) -> Party | None:
-        """The party that appeared so late that no driver could have reacted; None if neither did."""
-        return next((party for party in self.parties if party.present_s < RESPONSE_S), None)
+    def late_appearance(self) -> str:
+        """Which party appeared so late that no driver could have reacted, and when; "" if neither did."""
+        late = (party for party in self.parties if party.present_s < RESPONSE_S)
+        return next((f"'{x.name}' appeared {x.present_s:.1f} s before" for x in late), "")
 
     @property
     def crossing(self) -> bool:

@@ -73,13 +73,8 @@ def fault_of(view: TrafficView, case: Encounter, kind: CollisionType) -> Fault:
 
 
 def _appeared(_view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:
-    newcomer = case.newcomer
-    if newcomer is None:
-        return None
-    reason = (
-        f"'{newcomer.name}' appeared {newcomer.present_s:.1f} s before the contact, too late to react to."
-    )
-    return Fault(AtFault.UNCLEAR, reason)
+    late = case.late_appearance
+    return Fault(AtFault.UNCLEAR, f"{late} the contact, too late to react to.") if late else None
 
 
 def _pushed(view: TrafficView, case: Encounter, _kind: CollisionType) -> Fault | None:

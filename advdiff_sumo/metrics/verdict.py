@@ -121,8 +121,8 @@ def judge(
         spare_m=None if clear is None else clear.spare_m,
         spare_s=None if clear is None else clear.spare_s,
         impact_left_mps=None if colliding is None else colliding.impact_mps,
-        valid_failure=fault.at_fault is AtFault.TARGET
-        or (lawful and bool(preventable) and case.newcomer is None),
+        valid_failure=not case.late_appearance
+        and (fault.at_fault is AtFault.TARGET or (lawful and bool(preventable))),
         solvable=solvable,
         unavoidable=_unavoidable(preventable_by, solvable),
         not_judged=not_judged,
@@ -164,11 +164,8 @@ def _unavoidable(preventable_by: tuple[str, ...], solvable: bool | None) -> bool
 def _not_judged(view: TrafficView, case: Encounter, has_drives: bool) -> tuple[str, ...]:
     links = [party.link for party in case.parties]
     missing = []
-    if case.newcomer is not None:
-        name, present_s = case.newcomer.name, case.newcomer.present_s
-        missing.append(
-            f"whether it counts ('{name}' appeared {present_s:.1f} s before, too late to react to)"
-        )
+    if case.late_appearance:
+        missing.append(f"whether it counts ({case.late_appearance}, too late to react to)")
     if not view.signals and any(link is not None and link.tls_id is not None for link in links):
         missing.append("red lights (no signals recorded)")
     if signals_are_unknown(view, case):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.polylines import Polyline, concatenate
 from advdiff_sumo.maps import Link
 from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
@@ -50,7 +51,7 @@ def _front_line(geometry: Geometry, link: Link) -> FloatArray:
     path = geometry.path((link.from_lane, *link.via, link.to_lane), (link,))
     front_m = np.arange(0.0, path.exit_m[0] - path.stop_m[0] + _BEYOND_M, _STEP_M)
     centre_xy, yaw = path.at(path.stop_m[0] + front_m - _FRONT_M)
-    return centre_xy + _FRONT_M * np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
+    return centre_xy + _FRONT_M * unit(yaw)
 
 
 def _are_near(own_xy_m: FloatArray, other_xy_m: FloatArray) -> BoolArray:

@@ -184,3 +184,15 @@ def findings(record: EpisodeRecord, road: RoadMap) -> tuple[str, str, list[str],
     verdict = judge(record, road, hit)
     own, other = ([str(x.kind) for x in side] for side in (verdict.target_breaches, verdict.other_breaches))
     return str(verdict.kind), str(verdict.fault.at_fault), own, other
+
+
+def blame(record: EpisodeRecord, road: RoadMap) -> tuple[str, str]:
+    """Return kind and fault of the target's first collision."""
+    kind, fault, _, _ = findings(record, road)
+    return kind, fault
+
+
+def broken(record: EpisodeRecord, road: RoadMap) -> tuple[list[str], list[str]]:
+    """Return the breaches of the target and of its partner that led to the target's first collision."""
+    _, _, own, other = findings(record, road)
+    return own, other

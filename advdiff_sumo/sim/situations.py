@@ -1,20 +1,23 @@
-"""Decide whether a vehicle is following, merging, yielding, turning, or before a red light when a scene starts."""
+"""Decide in which situation a vehicle is when a scene starts, such as following, merging, yielding or turning."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from advdiff_sumo.core.signal_letters import RED
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.maps.priority_links import come_head_on, priority_links
 from advdiff_sumo.sim.sim_options import Situation
 from advdiff_sumo.sim.world import Frame, World
 
 _FOLLOWING_S = 3.5  # longest headway of a follower
 _BESIDE_M = 20.0  # longest distance along the lane between vehicles beside each other
 _JUNCTION_M = 60.0  # longest distance to the next junction
+_ONCOMING_FROM_M = 15.0  # shortest distance to a junction at which oncoming traffic is to be met
 
 
 def in_situation(
@@ -31,8 +34,9 @@ def in_situation(
     Args:
         situation: "following": a vehicle is ahead in its lane, less than 3.5 s away at its own speed. "merging": a
             vehicle is on a lane beside it, within 20 m. "yielding": it is the first before a junction within 60 m, and
-            must yield there. "turning": its route turns at that junction. "red-light": it is the first before that
-            junction, and its signal is red. "any": always.
+            must yield there. "turning": its route turns at that junction. "oncoming": it is the first before that
+            junction, at least 15 m away, and must let oncoming traffic pass, which has no red light. "red-light": it
+            is the first before that junction, and its signal is red. "any": always.
         road: the net.
         world: names and lanes of the rows.
         frame: the states.
@@ -40,10 +44,12 @@ def in_situation(
         route: its edges from the present one on.
         signals: state of every traffic light.
     """
-    if situation == "red-light":
-        link = _next_link(road, world, frame, row, route)
-        return link is not None and link.signal(signals) in RED and _is_first(road, world, frame, row)
-    return situation == "any" or _TESTS[situation](road, world, frame, row, route)
+    if situation in _LANE_TESTS:
+        return _LANE_TESTS[situation](road, world, frame, row)
+    if situation in _JUNCTION_TESTS:
+        approach = _next_junction(road, world, frame, row, route)
+        return approach is not None and _JUNCTION_TESTS[situation](road, approach, signals)
+    return True
 
 
 def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: str) -> list[float]:
@@ -54,47 +60,75 @@ def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: st
     return [float(line.project(frame.xy_m[k])[0]) - own_s_m for k in others]
 
 
-def _following(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
+def _following(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
     range_m = max(_FOLLOWING_S * float(frame.speed_mps[row]), 10.0)
     return any(0.0 < gap_m < range_m for gap_m in _gaps_along(road, world, frame, row, world.lane[row]))
 
 
-def _merging(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:  # noqa: ARG001 - one signature for all tests
+def _merging(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
     lane = road.lanes[world.lane[row]]
     neighbours = [name for name in (lane.left_id, lane.right_id) if name is not None]
     gaps_m = (gap_m for name in neighbours for gap_m in _gaps_along(road, world, frame, row, name))
     return any(abs(gap_m) < _BESIDE_M for gap_m in gaps_m)
 
 
-def _yielding(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
-    """Return whether *row* is the first before a junction at which it must yield."""
-    link = _next_link(road, world, frame, row, route)
-    return link is not None and _is_first(road, world, frame, row) and bool(road.yields_to(link))
+@dataclass(frozen=True)
+class _Approach:
+    """A vehicle before the next junction of its route.
+
+    Attributes:
+        link: its link over the junction.
+        distance_m: from its centre to the stop line.
+        is_first: whether no vehicle is ahead of it on its lane.
+    """
+
+    link: Link
+    distance_m: float
+    is_first: bool
 
 
-def _is_first(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
-    """Return whether no vehicle is ahead of *row* on its lane."""
-    return max(_gaps_along(road, world, frame, row, world.lane[row]), default=0.0) <= 0.0
+def _yielding(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
+    return approach.is_first and bool(road.yields_to(approach.link))
 
 
-def _turning(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> bool:
-    link = _next_link(road, world, frame, row, route)
-    return link is not None and link.direction.lower() in ("l", "r")
+def _turning(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
+    return approach.link.direction.lower() in ("l", "r")
 
 
-def _next_link(road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]) -> Link | None:
-    """Return the link of the route over the next junction; None if that is not near."""
+def _oncoming(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:
+    link = approach.link
+    if not approach.is_first or approach.distance_m < _ONCOMING_FROM_M or link.signal(signals) in RED:
+        return False
+    return any(come_head_on(road, link, other) for other in priority_links(road, link, signals))
+
+
+def _red_light(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
+    return approach.is_first and approach.link.signal(signals) in RED
+
+
+def _next_junction(
+    road: RoadMap, world: World, frame: Frame, row: int, route: Sequence[str]
+) -> _Approach | None:
+    """Return the approach of *row* to the next junction of its route; None if that is not near."""
     lane = road.lanes[world.lane[row]]
-    remaining_m = lane.length_m - float(lane.line.project(frame.xy_m[row])[0])
-    if remaining_m > _JUNCTION_M or len(route) < 2:
+    distance_m = lane.length_m - float(lane.line.project(frame.xy_m[row])[0])
+    if distance_m > _JUNCTION_M or len(route) < 2:
         return None
     links = (link for link in lane.successors if road.lanes[link.to_lane].edge_id == route[1])
-    return next(links, None)
+    link = next(links, None)
+    if link is None:
+        return None
+    is_first = max(_gaps_along(road, world, frame, row, lane.id), default=0.0) <= 0.0
+    return _Approach(link, distance_m, is_first)
 
 
-_TESTS: Mapping[str, Callable[[RoadMap, World, Frame, int, Sequence[str]], bool]] = {
+_LANE_TESTS: Mapping[str, Callable[[RoadMap, World, Frame, int], bool]] = {
     "following": _following,
     "merging": _merging,
+}
+_JUNCTION_TESTS: Mapping[str, Callable[[RoadMap, _Approach, Mapping[str, str]], bool]] = {
     "yielding": _yielding,
     "turning": _turning,
+    "oncoming": _oncoming,
+    "red-light": _red_light,
 }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.errors import SceneError
+from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
@@ -58,6 +59,32 @@ def test_a_turning_target_has_a_turn_ahead(networks: Path) -> None:
             if road.lanes[link.to_lane].edge_id == route[1]
         ]
         assert {link.direction.lower() for link in links} <= {"l", "r"}
+
+
+def test_a_target_that_meets_oncoming_traffic_turns_left_with_priority_from_ahead(networks: Path) -> None:
+    """The lane from ahead leads straight over the junction where the target, turning across it, must wait."""
+    road, found = scenes(networks, "oncoming")
+    for scene in found:
+        now, row = scene.history, scene.history.index[scene.target]
+        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
+        assert pose is not None
+        lane = road.lanes[pose.lane_id]
+        assert 14.9 < lane.length_m - pose.s_m < 60.1
+        (link,) = [
+            x for x in lane.successors if road.lanes[x.to_lane].edge_id == scene.routes[scene.target][1]
+        ]
+        assert link.direction.lower() == "l"
+        from_ahead = [
+            x
+            for name in road.junctions[link.junction_id].incoming_lanes
+            for x in road.lanes[name].successors
+            if abs(wrap_angle(_end_yaw(road, name) - _end_yaw(road, lane.id))) > np.deg2rad(120.0)
+        ]
+        assert any(road.must_yield(link, x) and x.direction == "s" for x in from_ahead)
+
+
+def _end_yaw(road: RoadMap, lane_id: str) -> float:
+    return float(road.lanes[lane_id].line.segment_yaw_rad[-1])
 
 
 def test_a_target_before_a_red_light_is_the_first_one_there(networks: Path) -> None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS, priority_links
+from advdiff_sumo.maps.priority_links import priority_links
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_places import can_insert_slow_vehicle
@@ -133,4 +134,4 @@ def _links_with_priority(view: SituationView, reach_m: float) -> Sequence[Link]:
         return ()
     near = ((line_m, link) for line_m, link in target.way.links if 0.0 < line_m < reach_m)
     reachable = (link for line_m, link in near if view.is_clear_on_arrival(line_m))
-    return [link for link in reachable if priority_links(view, link)]
+    return [link for link in reachable if priority_links(view.road, link, view.scene.signals)]

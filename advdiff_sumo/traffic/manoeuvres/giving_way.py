@@ -10,10 +10,10 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.maps.priority_links import priority_links
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     CAREFUL_STOP_MPS2,
     conflict_points_m,
-    priority_links,
 )
 from advdiff_sumo.traffic.manoeuvres.required_braking import HURRYING_MPS2
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -112,7 +112,7 @@ def _target_may_go(view: SituationView, target: _Entry) -> bool:
     history, row = view.scene.history, view.scene.target
     if (np.abs(history.speed_mps[row][history.valid[row]]) > STANDS_MPS).any():
         return True
-    prior_links = priority_links(view, target.link)
+    prior_links = priority_links(view.road, target.link, view.scene.signals)
     others = (_entry(view, other) for other in view.ways if other != row)
     return not any(
         other.link in prior_links and other.line_m < _AT_LINE_M for other in others if other is not None

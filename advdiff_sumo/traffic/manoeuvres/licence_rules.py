@@ -14,6 +14,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW, YIELDING_GREEN
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.maps.priority_links import has_right_of_way
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.free_speed import can_slow_for_bends
@@ -90,9 +91,8 @@ def _is_lawful(
     if manoeuvre.is_positioning:  # it is planned anew at once, and can still stop
         lines_within_m = min(driven_m, set_up_m + set_up_mps**2 / (2.0 * _STOPS_MPS2))
     if licence is not None and not (
-        (begun or _road_goes_on(view, manoeuvre, driven_m))
+        (begun or _ends_on_lane(view, manoeuvre, driven_m))
         and _respects_links(view, manoeuvre, lines_within_m, licence)
-        and _stops_outside_junctions(manoeuvre, driven_m)
         and _leaves_gaps(view, manoeuvre, licence)
     ):
         return False
@@ -128,7 +128,17 @@ def _has_priority(view: SituationView, links: tuple[Link, Link]) -> bool:
         return False
     if view.is_red(target_link):
         return view.signal(own_link) in GREEN
-    return view.yields_to(target_link, own_link) and not (own_link.must_wait and not view.signal(own_link))
+    return has_right_of_way(view.road, own_link, target_link) and not (
+        own_link.must_wait and not view.signal(own_link)
+    )
+
+
+def _ends_on_lane(view: SituationView, manoeuvre: Manoeuvre, driven_m: float) -> bool:
+    """Return whether the manoeuvre ends before its road does, and a stop outside junctions.
+
+    Who has begun to stop goes on, even if the stop then ends a little farther on, inside a junction.
+    """
+    return _road_goes_on(view, manoeuvre, driven_m) and _stops_outside_junctions(manoeuvre, driven_m)
 
 
 def _road_goes_on(view: SituationView, manoeuvre: Manoeuvre, driven_m: float) -> bool:

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.maps.priority_links import come_head_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
-from advdiff_sumo.traffic.manoeuvres.priority_traffic import is_oncoming, turn_speed_mps
+from advdiff_sumo.traffic.manoeuvres.priority_traffic import turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
@@ -38,7 +39,7 @@ def suited_crossings(
         if links is None:
             yield manoeuvre
             continue
-        is_excluded = stage.only_oncoming and not is_oncoming(view, links[1], links[0])
+        is_excluded = stage.only_oncoming and not come_head_on(view.road, links[1], links[0])
         changes_speed = profile.first_mps2 != 0.0 or profile.then_mps2 != 0.0
         if is_excluded or (stage.streams and changes_speed):
             continue

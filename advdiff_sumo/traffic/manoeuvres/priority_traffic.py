@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.maps.priority_links import come_head_on, priority_links
 from advdiff_sumo.traffic.manoeuvres.free_speed import bend_mps
 from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S, TargetWay
@@ -41,7 +41,7 @@ _LIMIT_SHARE_AT_RED = 0.8
 """Share of the limit for a vehicle that may have to hurry or to hesitate."""
 _CONFLICT_M, _BEYOND_M, _SPACING_M = 2.0, 6.0, 0.5
 """Distance of centres that is a conflict; how far beyond the junction it is searched for; spacing of that search."""
-_MIN_TO_LINE_M, _ONCOMING_RAD = 8.0, 2.2
+_MIN_TO_LINE_M = 8.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,8 @@ def next_of_stream(view: SituationView, last: int) -> Iterator[Approach]:
     if target is None or way is None or not way.links or not target.way.links:
         return
     (own_line_m, own_link), (line_m, link) = way.links[0], target.way.links[0]
-    points = conflict_points_m(view.road, link, own_link) if own_link in priority_links(view, link) else None
+    has_priority = own_link in priority_links(view.road, link, view.scene.signals)
+    points = conflict_points_m(view.road, link, own_link) if has_priority else None
     if points is None or not 0.0 < line_m < REACH_M or view.is_red(link):
         return
     arrives_s = (own_line_m + points[1]) / max(view.speed(last), _SLOWEST_MPS)
@@ -127,10 +128,12 @@ def next_of_stream(view: SituationView, last: int) -> Iterator[Approach]:
 def _conflicting_links(view: SituationView, link: Link, oncoming: bool, from_ahead_only: bool) -> list[Link]:
     """Return the links that have priority over *link*, if any go straight on only these, the preferred ones first."""
     links = [
-        other for other in priority_links(view, link) if not from_ahead_only or is_oncoming(view, link, other)
+        other
+        for other in priority_links(view.road, link, view.scene.signals)
+        if not from_ahead_only or come_head_on(view.road, link, other)
     ]
     links = [other for other in links if other.direction == "s"] or links
-    return sorted(links, key=lambda other: is_oncoming(view, link, other) is not oncoming)
+    return sorted(links, key=lambda other: come_head_on(view.road, link, other) is not oncoming)
 
 
 def _stop_distance_m(target: TargetWay) -> float:
@@ -141,36 +144,7 @@ def _stop_distance_m(target: TargetWay) -> float:
 
 def _waits_beyond_line_m(view: SituationView, link: Link, other: Link, conflict_m: float) -> float:
     """Return how far beyond its line a vehicle on *link* waits for *other*, with the conflict at *conflict_m*."""
-    return max(conflict_m - _WAITS_BEFORE_M, 0.0) if is_oncoming(view, link, other) else 0.0
-
-
-def priority_links(view: SituationView, link: Link) -> list[Link]:
-    """Return the links that have priority over *link* and may be driven now.
-
-    These have the right of way over *link* or, if that has a red light, a green light.
-    """
-    junction = view.road.junctions[link.junction_id]
-    lanes = (view.road.lanes.get(name) for name in junction.incoming_lanes)
-    incoming = [lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal]
-    others = (other for lane in incoming for other in lane.successors if other.junction_id == junction.id)
-    if view.is_red(link):
-        foes = junction.foes.get(link.request_index, frozenset())
-        return [
-            other for other in others if other.request_index in foes and view.signal(other) == PROTECTED_GREEN
-        ]
-    return [other for other in others if view.yields_to(link, other) and _may_go(view, other)]
-
-
-def _may_go(view: SituationView, link: Link) -> bool:
-    return view.signal(link) == PROTECTED_GREEN or (not view.signal(link) and not link.must_wait)
-
-
-def is_oncoming(view: SituationView, link: Link, other: Link) -> bool:
-    """Return whether vehicles on *other* come to the junction head-on to those on *link*."""
-    own_yaw, other_yaw = (
-        float(view.road.lanes[name].line.segment_yaw_rad[-1]) for name in (link.from_lane, other.from_lane)
-    )
-    return abs(float(wrap_angle(own_yaw - other_yaw))) > _ONCOMING_RAD
+    return max(conflict_m - _WAITS_BEFORE_M, 0.0) if come_head_on(view.road, link, other) else 0.0
 
 
 @lru_cache(maxsize=4096)

@@ -167,10 +167,6 @@ class SituationView:
         """Return whether *link* has a red light now."""
         return self.signal(link) in RED
 
-    def yields_to(self, link: Link, other: Link) -> bool:
-        """Return whether *link* has to yield to *other* of the same junction, and not the other way round."""
-        return self.road.must_yield(link, other) and not self.road.must_yield(other, link)
-
     def neighbour_way(self, row: int, side: str) -> Way | None:
         """Return the way that *row* would follow on the lane to its "left" or "right"; None if there is no lane."""
         way = self.ways[row]

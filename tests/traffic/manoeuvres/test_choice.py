@@ -61,9 +61,9 @@ def change(view: SituationView) -> Manoeuvre:
     return replace(proposals[0], profile=SpeedProfile())
 
 
-def is_lawful(view: SituationView, manoeuvre: Manoeuvre) -> bool:
+def is_lawful(view: SituationView, manoeuvre: Manoeuvre, begun: bool = False) -> bool:
     futures = futures_of_manoeuvres([manoeuvre], np.array([view.speed(manoeuvre.row)]))
-    return bool(lawful_mask(view, [manoeuvre], futures)[0])
+    return bool(lawful_mask(view, [manoeuvre], futures, begun=begun)[0])
 
 
 @pytest.mark.parametrize(("spare", "allowed"), [(-0.5, False), (0.5, True)])
@@ -103,6 +103,23 @@ def test_a_manoeuvre_stops_at_red_lights(networks: object) -> None:
         view = SituationView.of(road, replace(scene, signals=lights))
         steady = Manoeuvre("stop-and-go", 1, view.ways[1], SpeedProfile())
         assert is_lawful(view, steady) is allowed
+
+
+def test_a_stop_may_not_begin_where_it_ends_on_a_junction_but_may_go_on_there(networks: object) -> None:
+    """From 8 m/s it stops within 8²/(2·4) = 8 m: 3 m before the end of its lane lies a junction, 20 m before not."""
+    road = RoadMap.read(f"{networks}/downtown.net.xml")
+    links = (x for lane in road.lanes.values() if lane.length_m > 60.0 for x in lane.successors)
+    straight = (x for x in links if x.direction == "s" and not x.yields and not x.tls_id)
+    link = next(x for x in straight if sum(road.lanes[name].length_m for name in x.via) > 10.0)
+    lane = road.lanes[link.from_lane]
+    for before_m, may_begin in ((20.0, True), (3.0, False)):
+        place = lane.length_m - before_m
+        view = SituationView.of(
+            road, scene_on({"target": (lane, place - 25.0, 8.0), "other": (lane, place, 8.0)})
+        )
+        stop = Manoeuvre("hard-stop", 1, view.ways[1], SpeedProfile(then_mps2=-4.0))
+        assert is_lawful(view, stop) is may_begin
+        assert is_lawful(view, stop, begun=True)
 
 
 def test_the_hardest_manoeuvre_that_braking_avoids_is_chosen(motorway: RoadMap) -> None:

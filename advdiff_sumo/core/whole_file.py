@@ -55,6 +55,11 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> None:
         raise FileError(path, f"cannot be made ({os_reason(error)})", remedy) from None
 
 
+def arrow_path(path: Path) -> Path:
+    """Return *path* for pyarrow, which takes a relative path with a colon for a URI."""
+    return path.absolute()
+
+
 def aside_of(path: Path, ending: str = "") -> Path:
     """Return the path of the temporary file of this process for *path*."""
     return path.with_name(f"{path.name}.{os.getpid()}{ASIDE}{ending}")

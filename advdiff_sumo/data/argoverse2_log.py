@@ -10,6 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray
 from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.core.scene import AgentClass, Tracks
+from advdiff_sumo.core.whole_file import arrow_path
 from advdiff_sumo.data.log_reader import LogScene
 from advdiff_sumo.data.motion import annotated_tracks, parked_agents, without_jitter
 from advdiff_sumo.data.scene_files import SceneFiles
@@ -78,7 +79,7 @@ def _table(path: Path) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path, columns=list(COLUMNS))
+        table = pq.read_table(arrow_path(path), columns=list(COLUMNS))
     except (OSError, pa.ArrowException) as error:
         raise LogError(path, f"is no readable Parquet file ({str(error).splitlines()[0]})", _AGAIN) from None
     return {name: table[name].to_numpy() for name in table.column_names}

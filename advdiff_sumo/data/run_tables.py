@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.whole_file import arrow_path
 
 RUN_SETTINGS, SWEEP_SETTINGS = "run.toml", "sweep.toml"
 #: Folder inside a run folder that holds the finished episodes until the run is complete.
@@ -64,7 +65,7 @@ class RunTables:
         """
         path = self.path(table)
         try:
-            present = set(pq.read_schema(path).names)
+            present = set(pq.read_schema(arrow_path(path)).names)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
         missing = [name for name in needed if name not in present]
@@ -95,7 +96,7 @@ class RunTables:
         filters = None if episode is None else pc.field("episode") == episode
         try:
             names = None if columns is None else [*columns]
-            return pq.read_table(path, columns=names, filters=filters, schema=schema)
+            return pq.read_table(arrow_path(path), columns=names, filters=filters, schema=schema)
         except (OSError, pa.ArrowException) as error:
             raise self._unusable(path, error) from None
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from advdiff_sumo.core.errors import ConfigError, FileError, InputError, os_reason
 from advdiff_sumo.core.record import EpisodeRecord
-from advdiff_sumo.core.whole_file import whole_file
+from advdiff_sumo.core.whole_file import arrow_path, whole_file
 from advdiff_sumo.core.worker_pool import futures_of
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS, RunTables
 from advdiff_sumo.experiments.folder_rows import put_together
@@ -333,7 +333,9 @@ def _write_table(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, C
     schema = schema_of(columns)
     try:
         with whole_file(path) as temporary:
-            pq.write_table(pa.Table.from_pylist(rows, schema=schema), temporary, compression="zstd")
+            pq.write_table(
+                pa.Table.from_pylist(rows, schema=schema), arrow_path(temporary), compression="zstd"
+            )
     except OSError as error:
         remedy = (
             "free some space" if error.errno == errno.ENOSPC else "make its folder one that can be written to"

@@ -25,6 +25,13 @@ _ACTIONS: Mapping[str, str] = {
     "blocked-lane": "block its lane",
     "stop-and-go": "slow down before it",
 }
+_SUITED_SITUATIONS: Mapping[str, str] = {
+    "oncoming": "oncoming",
+    "crossing": "yielding",
+    "short-gaps": "yielding",
+    "close-pass": "merging",
+}
+"""Attack → situation of the target in which it mostly takes place."""
 
 
 def out_of_position(row: Mapping[str, Any]) -> str | None:
@@ -35,18 +42,16 @@ def out_of_position(row: Mapping[str, Any]) -> str | None:
 
 
 def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return (text, number of episodes) for each kind of attack for which some *rows* had no vehicle in position."""
+    """Return (text, number of episodes and remedy) for each attack for which some *rows* had no vehicle in position."""
     lines = []
     for kind in dict.fromkeys(row.get("attack_kind") for row in rows):
         with_kind = [row for row in rows if row.get("attack_kind") == kind]
         missing = [action for row in with_kind if (action := out_of_position(row)) is not None]
         if missing:
-            lines.append(
-                (
-                    f"no one was in a position to {missing[0]}",
-                    f"in {len(missing)} of {len(with_kind)} episodes",
-                )
-            )
+            suited = _SUITED_SITUATIONS.get(str(kind)) if 2 * len(missing) > len(with_kind) else None
+            remedy = f"; scenes for it: scene.situation={suited}" if suited is not None else ""
+            count = f"in {len(missing)} of {len(with_kind)} episodes{remedy}"
+            lines.append((f"no one was in a position to {missing[0]}", count))
     return lines
 
 

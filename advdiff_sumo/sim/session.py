@@ -98,6 +98,12 @@ class Session:
                 "a second SUMO simulation in one process would end the first one; close that, or give each a process "
                 "(environments: gymnasium.vector.AsyncVectorEnv)"
             )
+        files = (self.options.net, *self.options.routes, *self.options.additional)
+        with_comma = next((file for file in files if "," in str(file)), None)
+        if with_comma is not None:
+            raise StartRefusedError(
+                f"SUMO takes a comma for the end of a file name; rename or move {with_comma}"
+            )
         self.api = load_api(self.options.gui)
         program = "sumo-gui" if self.options.gui else "sumo"
         with _quiet() as output:

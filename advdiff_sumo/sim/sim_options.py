@@ -8,7 +8,9 @@ from pydantic import Field, model_validator
 
 from advdiff_sumo.config import Options
 
-Situation: TypeAlias = Literal["any", "following", "merging", "yielding", "turning", "oncoming", "red-light"]
+Situation: TypeAlias = Literal[
+    "any", "following", "merging", "yielding", "turning", "oncoming", "red-light", "yellow"
+]
 """Situation of the target when an episode begins."""
 
 
@@ -76,7 +78,7 @@ class SceneOptions(Options):
         min_route_m: route that the target must have ahead.
         min_speed_mps: lowest speed of the target at the start.
         situation: what the target must be about to do at the start: following, merging, yielding, turning,
-            oncoming, red-light, or any.
+            oncoming, red-light, yellow, or any.
         spacing_s: natural traffic between two scenes from one warm-up.
         scenes_per_warmup: scenes taken from one stretch of natural traffic.
         stride_s: spacing of the scenes taken from one driving log.

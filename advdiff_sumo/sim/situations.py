@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.signal_letters import RED
+from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Link
 from advdiff_sumo.maps.priority_links import come_head_on, priority_links
@@ -18,6 +18,27 @@ _FOLLOWING_S = 3.5  # longest headway of a follower
 _BESIDE_M = 20.0  # longest distance along the lane between vehicles beside each other
 _JUNCTION_M = 60.0  # longest distance to the next junction
 _ONCOMING_FROM_M = 15.0  # shortest distance to a junction at which oncoming traffic is to be met
+_REACTION_S, _COMFORTABLE_MPS2 = 1.0, 3.0  # with which a vehicle can stop as its light turns yellow
+_AFTER_YELLOW_S = 3.0  # latest arrival at the line, after the end of the yellow light
+SHORT_LIVED_S: Mapping[Situation, float] = {"yellow": 0.5}
+"""Situation that soon passes → time after which it is looked for again."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The traffic lights at an instant.
+
+    Attributes:
+        states: traffic light → its state, a letter for each link.
+        next_states: traffic light → its state after the next change.
+        change_s: traffic light → time until that change.
+        next_lasts_s: traffic light → duration of the state after it.
+    """
+
+    states: Mapping[str, str]
+    next_states: Mapping[str, str]
+    change_s: Mapping[str, float]
+    next_lasts_s: Mapping[str, float]
 
 
 def in_situation(
@@ -27,7 +48,7 @@ def in_situation(
     frame: Frame,
     row: int,
     route: Sequence[str],
-    signals: Mapping[str, str],
+    signals: Signals,
 ) -> bool:
     """Return whether the vehicle in *row* is in *situation* in *frame*.
 
@@ -36,13 +57,15 @@ def in_situation(
             vehicle is on a lane beside it, within 20 m. "yielding": it is the first before a junction within 60 m, and
             must yield there. "turning": its route turns at that junction. "oncoming": it is the first before that
             junction, at least 15 m away, and must let oncoming traffic pass, which has no red light. "red-light": it
-            is the first before that junction, and its signal is red. "any": always.
+            is the first before that junction, and its signal is red. "yellow": it is the first there, and its green
+            light turns yellow when it can still stop with 3 m/s² after 1 s, and red before it arrives at its speed.
+            "any": always.
         road: the net.
         world: names and lanes of the rows.
         frame: the states.
         row: of the vehicle.
         route: its edges from the present one on.
-        signals: state of every traffic light.
+        signals: the traffic lights; of the next changes only those at which they turn yellow matter.
     """
     if situation in _LANE_TESTS:
         return _LANE_TESTS[situation](road, world, frame, row)
@@ -79,31 +102,45 @@ class _Approach:
     Attributes:
         link: its link over the junction.
         distance_m: from its centre to the stop line.
+        speed_mps: its speed.
         is_first: whether no vehicle is ahead of it on its lane.
     """
 
     link: Link
     distance_m: float
+    speed_mps: float
     is_first: bool
 
 
-def _yielding(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
+def _yielding(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  # noqa: ARG001 - one signature for all tests
     return approach.is_first and bool(road.yields_to(approach.link))
 
 
-def _turning(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
+def _turning(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  # noqa: ARG001 - one signature for all tests
     return approach.link.direction.lower() in ("l", "r")
 
 
-def _oncoming(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:
+def _oncoming(road: RoadMap, approach: _Approach, signals: Signals) -> bool:
     link = approach.link
-    if not approach.is_first or approach.distance_m < _ONCOMING_FROM_M or link.signal(signals) in RED:
+    if not approach.is_first or approach.distance_m < _ONCOMING_FROM_M or link.signal(signals.states) in RED:
         return False
-    return any(come_head_on(road, link, other) for other in priority_links(road, link, signals))
+    return any(come_head_on(road, link, other) for other in priority_links(road, link, signals.states))
 
 
-def _red_light(road: RoadMap, approach: _Approach, signals: Mapping[str, str]) -> bool:  # noqa: ARG001 - one signature for all tests
-    return approach.is_first and approach.link.signal(signals) in RED
+def _red_light(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  # noqa: ARG001 - one signature for all tests
+    return approach.is_first and approach.link.signal(signals.states) in RED
+
+
+def _yellow(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  # noqa: ARG001 - one signature for all tests
+    link, speed_mps = approach.link, approach.speed_mps
+    is_ending = link.signal(signals.states) in GREEN and link.signal(signals.next_states) in YELLOW
+    if not approach.is_first or not is_ending or link.tls_id is None or speed_mps <= 0.0:
+        return False
+    change_s = signals.change_s[link.tls_id]
+    red_s = change_s + signals.next_lasts_s[link.tls_id]
+    stops_within_m = _REACTION_S * speed_mps + speed_mps**2 / (2.0 * _COMFORTABLE_MPS2)
+    can_stop = approach.distance_m - change_s * speed_mps >= stops_within_m
+    return can_stop and red_s <= approach.distance_m / speed_mps <= red_s + _AFTER_YELLOW_S
 
 
 def _next_junction(
@@ -119,16 +156,17 @@ def _next_junction(
     if link is None:
         return None
     is_first = max(_gaps_along(road, world, frame, row, lane.id), default=0.0) <= 0.0
-    return _Approach(link, distance_m, is_first)
+    return _Approach(link, distance_m, float(frame.speed_mps[row]), is_first)
 
 
 _LANE_TESTS: Mapping[str, Callable[[RoadMap, World, Frame, int], bool]] = {
     "following": _following,
     "merging": _merging,
 }
-_JUNCTION_TESTS: Mapping[str, Callable[[RoadMap, _Approach, Mapping[str, str]], bool]] = {
+_JUNCTION_TESTS: Mapping[str, Callable[[RoadMap, _Approach, Signals], bool]] = {
     "yielding": _yielding,
     "turning": _turning,
     "oncoming": _oncoming,
     "red-light": _red_light,
+    "yellow": _yellow,
 }

@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import IntArray
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.situations import in_situation
+from advdiff_sumo.sim.situations import Signals, in_situation
 from advdiff_sumo.sim.world import Frame, World
 
 _NEIGHBOUR_RADIUS_M = 50.0
@@ -108,18 +108,14 @@ class TargetChoice:
             if api.vehicle.getVehicleClass(world.ids[row]) == "passenger"
         ]
         with_route = [row for row in passenger_cars if self._has_route(api, world, row)]
-        signals = {
-            name: api.trafficlight.getRedYellowGreenState(name) for name in api.trafficlight.getIDList()
-        }
+        signals = _signals(api)
         usable = [row for row in with_route if self._is_in_situation(api, world, frame, row, signals)]
         stages = zip(
             Lacking, (cars, fast_cars, with_neighbours, passenger_cars, with_route, usable), strict=True
         )
         return usable, next((lacking for lacking, rows in stages if not len(rows)), Lacking.SITUATION)
 
-    def _is_in_situation(
-        self, api: Any, world: World, frame: Frame, row: int, signals: dict[str, str]
-    ) -> bool:
+    def _is_in_situation(self, api: Any, world: World, frame: Frame, row: int, signals: Signals) -> bool:
         """Return whether *row* is in the situation wanted."""
         route = remaining_route(api, world.ids[row], self.road.beyond_rim)
         return in_situation(self.scene.situation, self.road, world, frame, row, route, signals)
@@ -136,6 +132,27 @@ class TargetChoice:
         length_m = sum(road.edges[edge].length_m for edge in route)
         is_long_enough = length_m - float(api.vehicle.getLanePosition(name)) >= self.scene.min_route_m
         return is_long_enough and not any(turns_round(road, a, b) for a, b in pairwise(route))
+
+
+def _signals(api: Any) -> Signals:
+    """Return the traffic lights of libsumo *api* now."""
+    lights, now_s = api.trafficlight, float(api.simulation.getTime())
+    names = lights.getIDList()
+    following = {name: _next_phase(lights, name) for name in names}
+    return Signals(
+        states={name: lights.getRedYellowGreenState(name) for name in names},
+        next_states={name: phase.state for name, phase in following.items()},
+        change_s={name: float(lights.getNextSwitch(name)) - now_s for name in names},
+        next_lasts_s={name: float(phase.duration) for name, phase in following.items()},
+    )
+
+
+def _next_phase(lights: Any, name: str) -> Any:
+    """Return the phase that follows the present one in the program of traffic light *name*."""
+    program = lights.getProgram(name)
+    phases = next(logic.phases for logic in lights.getAllProgramLogics(name) if logic.programID == program)
+    present = lights.getPhase(name)
+    return phases[phases[present].next[0] if phases[present].next else (present + 1) % len(phases)]
 
 
 def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:

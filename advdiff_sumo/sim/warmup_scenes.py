@@ -22,12 +22,13 @@ from advdiff_sumo.sim.demand_xml import content_of
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.situations import SHORT_LIVED_S
 from advdiff_sumo.sim.target_choice import TargetChoice, remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _RNG_ELEMENT, _DRAW_COUNT = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')
 _UNKNOWN = "is not known"  # part of SUMO's message on an unknown type, route or stop
-_MAX_ATTEMPTS = 40  # consecutive choices without a usable target
+_MAX_ATTEMPTS = 40  # consecutive choices without a usable target, ``spacing_s`` apart
 
 
 @dataclass(frozen=True)
@@ -137,19 +138,22 @@ class NaturalTraffic:
         traffic.skip(max(self.scene.warmup_s - self.sim.history_s, 0.0))
         traffic.advance(self.sim.history_s)
         target_choice = TargetChoice(self.road, self.scene, self.sim)
+        spacing_s = self.scene.spacing_s
+        retry_s = min(SHORT_LIVED_S.get(self.scene.situation, spacing_s), spacing_s)
+        most_attempts = round(_MAX_ATTEMPTS * spacing_s / retry_s)
         count = attempts = 0
         while True:
             target = target_choice.choose(traffic.session.api, traffic.world, traffic.frames, rng)
             if target is None:
                 attempts += 1
-                if attempts > _MAX_ATTEMPTS:
+                if attempts > most_attempts:
                     raise SceneError(self._no_target(target_choice, traffic.session))
             else:
                 count, attempts = count + 1, 0
                 yield traffic.save(target)
                 if count == wanted:
                     return
-            traffic.advance(self.scene.spacing_s)
+            traffic.advance(retry_s if target is None else spacing_s)
 
     def _no_target(self, choice: TargetChoice, session: Session) -> str:
         """Return a sentence that says which requirement no vehicle met, and what helps."""

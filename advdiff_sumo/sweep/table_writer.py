@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.whole_file import aside_of, settle
+from advdiff_sumo.core.whole_file import arrow_path, aside_of, settle
 from advdiff_sumo.sweep.sweep_files import unwritable
 
 
@@ -31,7 +31,7 @@ class TableWriter:
 
     def __enter__(self) -> TableWriter:
         try:
-            self._writer = pq.ParquetWriter(self.aside, self.schema, compression="zstd")
+            self._writer = pq.ParquetWriter(arrow_path(self.aside), self.schema, compression="zstd")
         except OSError as error:
             raise unwritable(self.path, error) from None
         return self

@@ -46,6 +46,19 @@ def test_a_run_without_a_report(here: Callable[..., Outcome], workplace: Path) -
     assert "report.html is that of before; advdiff-sumo report run draws" in here(*goes_on, "--no-report").out
 
 
+def test_a_folder_with_a_colon_in_its_name(here: Callable[..., Outcome], workplace: Path) -> None:
+    """Arrow would take such a relative path for a URI."""
+    assert here(*RUN, "--quiet", "--out", "late:1.0") == Outcome(0, "", "")
+    assert here("verdict", "late:1.0").code == 0
+    assert (workplace / "late:1.0" / "episodes.parquet").exists()
+
+
+def test_a_net_with_a_comma_in_its_path_is_refused(here: Callable[..., Outcome], workplace: Path) -> None:
+    shutil.copy(workplace / "grid.net.xml", workplace / "a,b.net.xml")
+    refused = here("run", "--net", "a,b.net.xml", "--episodes", 1, *TINY, "--out", "run")
+    assert "SUMO takes a comma for the end of a file name; rename or move" in sentence(refused)
+
+
 def test_quiet_prints_nothing(here: Callable[..., Outcome], workplace: Path) -> None:
     assert here(*RUN, "--quiet", "--out", "run") == Outcome(0, "", "")
     assert "our_planners:Nothing" in sentence(here(*RUN, "-q", "--target", "our_planners:Nothing"))

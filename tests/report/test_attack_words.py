@@ -20,6 +20,13 @@ def test_episodes_are_counted_by_the_kind_asked_for() -> None:
     assert position_lines(rows) == [("no one was in a position to cut in", "in 2 of 3 episodes")]
 
 
+@pytest.mark.parametrize(("lacking", "remedy"), [(2, "; scenes for it: scene.situation=oncoming"), (1, "")])
+def test_most_scenes_without_an_encounter_are_of_the_wrong_situation(lacking: int, remedy: str) -> None:
+    rows = [row("oncoming", k >= lacking) for k in range(3)]
+    text = "no one was in a position to cross its way from ahead"
+    assert position_lines(rows) == [(text, f"in {lacking} of 3 episodes{remedy}")]
+
+
 def test_every_kind_has_its_line_and_an_unknown_one_its_name() -> None:
     rows = [row("head-on", False), row("swarm", False), row("any", False)]
     assert [words for words, _ in position_lines(rows)] == [

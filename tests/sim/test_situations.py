@@ -11,6 +11,7 @@ import pytest
 from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
@@ -96,6 +97,30 @@ def test_a_target_before_a_red_light_is_the_first_one_there(networks: Path) -> N
         links = [x for lane in lanes for x in lane.successors if road.lanes[x.to_lane].edge_id == beyond]
         record, _ = episode_of(scene, road)
         assert {"r", "u"} & {link.signal(record.signals[0]) for link in links}
+
+
+def test_a_light_turns_yellow_in_time_to_stop_and_red_before_the_target_arrives(networks: Path) -> None:
+    """Natural traffic is the target's driver here: the first vehicle, at its light, in the record of six seconds."""
+    road, found = scenes(networks, "yellow")
+    for scene in found:
+        now, row = scene.history, scene.history.index[scene.target]
+        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
+        assert pose is not None
+        lane, speed_mps = road.lanes[pose.lane_id], float(now.speed_mps[row, -1])
+        beyond = scene.routes[scene.target][1]
+        (link,) = [x for x in lane.successors if road.lanes[x.to_lane].edge_id == beyond]
+        target, policy = make_target("lane_graph", {}), make_policy("sumo", {})
+        played = Episode(
+            0, scene, road, target, policy, ("lane_graph", "sumo"), SimOptions(), 8.0, SeedTree(1)
+        )
+        record, _ = played.run()
+        letters = [link.signal(states) for states in record.signals]
+        assert letters[0] in GREEN
+        yellow_s = 0.1 * next(k for k, letter in enumerate(letters) if letter in YELLOW)
+        red_s = 0.1 * next(k for k, letter in enumerate(letters) if letter in RED)
+        distance_m = lane.length_m - pose.s_m
+        assert red_s - 0.2 <= distance_m / speed_mps <= red_s + 3.2
+        assert distance_m - speed_mps * yellow_s >= 0.97 * (speed_mps + speed_mps**2 / 6.0)
 
 
 @pytest.mark.slow

@@ -135,24 +135,27 @@ class TargetChoice:
 
 
 def _signals(api: Any) -> Signals:
-    """Return the traffic lights of libsumo *api* now."""
+    """Return the traffic lights of libsumo *api* now; those without phases, as of railways, have no next state."""
     lights, now_s = api.trafficlight, float(api.simulation.getTime())
     names = lights.getIDList()
-    following = {name: _next_phase(lights, name) for name in names}
+    phases = {name: phase for name in names if (phase := _next_phase(lights, name)) is not None}
     return Signals(
         states={name: lights.getRedYellowGreenState(name) for name in names},
-        next_states={name: phase.state for name, phase in following.items()},
-        change_s={name: float(lights.getNextSwitch(name)) - now_s for name in names},
-        next_lasts_s={name: float(phase.duration) for name, phase in following.items()},
+        next_states={name: phase.state for name, phase in phases.items()},
+        change_s={name: float(lights.getNextSwitch(name)) - now_s for name in phases},
+        next_lasts_s={name: float(phase.duration) for name, phase in phases.items()},
     )
 
 
-def _next_phase(lights: Any, name: str) -> Any:
-    """Return the phase that follows the present one in the program of traffic light *name*."""
-    program = lights.getProgram(name)
-    phases = next(logic.phases for logic in lights.getAllProgramLogics(name) if logic.programID == program)
-    present = lights.getPhase(name)
-    return phases[phases[present].next[0] if phases[present].next else (present + 1) % len(phases)]
+def _next_phase(lights: Any, name: str) -> Any | None:
+    """Return the phase that follows the present one in the program of traffic light *name*; None without phases."""
+    program, present = lights.getProgram(name), lights.getPhase(name)
+    logics = (logic for logic in lights.getAllProgramLogics(name) if logic.programID == program)
+    phases = next((logic.phases for logic in logics), ())
+    if present >= len(phases):
+        return None
+    following = phases[present].next
+    return phases[following[0] if following else (present + 1) % len(phases)]
 
 
 def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:

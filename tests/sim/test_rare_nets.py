@@ -1,4 +1,4 @@
-"""Rare but valid nets and demand: links without a signal at a traffic light, "<" in ids, gzip, lanes for buses."""
+"""Rare but valid nets and demand: links without signal at a light, railways, "<" in ids, gzip, lanes for buses."""
 
 from __future__ import annotations
 
@@ -70,6 +70,25 @@ def test_ids_that_xml_must_escape_come_through_a_saved_state(tmp_path: Path) -> 
     record, _ = episode(natural_scene(road), road, "IDM", horizon_s=3.0).run()
     assert record.failure is None
     assert record.tracks.steps == 31
+
+
+@pytest.mark.parametrize("situation", ["any", "yellow"])
+def test_a_railway_signal_has_no_phases(tmp_path: Path, situation: str) -> None:
+    """It is listed among the traffic lights; cars at the crossing with lights are found all the same."""
+    nodes = nets.CROSSING[0].format(kind="traffic_light")
+    rails = "".join(
+        f'<node id="{name}" x="{x}" y="400"{kind}/>'
+        for name, x, kind in (("R", -150, ""), ("T", 0, ' type="rail_signal"'), ("U", 150, ""))
+    )
+    tracks = '<edge id="RT" from="R" to="T" allow="rail"/><edge id="TU" from="T" to="U" allow="rail"/>'
+    with_rails = nodes.replace("</nodes>", f"{rails}</nodes>")
+    path = nets.build(
+        tmp_path, with_rails, nets.CROSSING[1].replace("</edges>", f"{tracks}</edges>"), name="rail"
+    )
+    road = RoadMap.read(path)
+    options = SceneOptions.parse({**SCENE, "scenes_per_warmup": 1, "situation": situation})
+    (scene,) = NaturalTraffic(road, None, options, SimOptions(), 4.0, SeedTree(3)).batch(0)
+    assert road.edges[scene.routes[scene.target][0]].to_junction == "C"
 
 
 def test_gzipped_demand_is_read_and_a_truncated_one_is_named(crossing: Path, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.junction_priority import come_head_on, priority_links
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.maps.priority_links import come_head_on, priority_links
 from advdiff_sumo.sim.sim_options import Situation
 from advdiff_sumo.sim.world import Frame, World
 

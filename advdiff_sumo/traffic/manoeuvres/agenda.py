@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from advdiff_sumo.maps.junction_priority import priority_links
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.maps.priority_links import priority_links
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import REACH_M, SLOWEST_TARGET_MPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView

@@ -9,8 +9,8 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
+from advdiff_sumo.maps.junction_priority import priority_links
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.maps.priority_links import priority_links
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     CAREFUL_STOP_MPS2,
     conflict_points_m,

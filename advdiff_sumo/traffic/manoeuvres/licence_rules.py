@@ -13,8 +13,8 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW, YIELDING_GREEN
+from advdiff_sumo.maps.junction_priority import has_right_of_way
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.maps.priority_links import has_right_of_way
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL, RECKLESS_OVER_LIMIT, Licence
 from advdiff_sumo.traffic.manoeuvres.free_speed import can_slow_for_bends

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+from advdiff_sumo.maps.junction_priority import come_head_on
 from advdiff_sumo.maps.lanes import Link
-from advdiff_sumo.maps.priority_links import come_head_on
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import turn_speed_mps
 from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links

@@ -12,8 +12,8 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import concatenate
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps.junction_priority import come_head_on, priority_links
 from advdiff_sumo.maps.lanes import Lane, Link
-from advdiff_sumo.maps.priority_links import come_head_on, priority_links
 from advdiff_sumo.traffic.manoeuvres.free_speed import bend_mps
 from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S, TargetWay

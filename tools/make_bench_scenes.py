@@ -16,6 +16,8 @@ from advdiff_sumo.experiments.bench.scene_list import (
     DEFECTS_LIST,
     DEFECTS_SEED,
     HORIZON_S,
+    JUNCTIONS_LIST,
+    JUNCTIONS_SEED,
     RED_LIGHTS_LIST,
     RED_LIGHTS_SEED,
     TABLE_LIST,
@@ -53,6 +55,11 @@ STRATA = {
 }
 #: The target is the first vehicle at a red light; this is rare in the strata above.
 RED_LIGHTS = {"red-light": Stratum(nets=TOWN, scene=_scene_options(8.0, "red-light", 6.0))}
+#: The target turns across oncoming traffic with priority, or its light turns yellow; both are rare in these strata.
+JUNCTIONS = {
+    "oncoming": Stratum(nets=TOWN, scene=_scene_options(8.0, "oncoming", 5.0)),
+    "yellow": Stratum(nets=TOWN, scene=_scene_options(8.0, "yellow", 6.0)),
+}
 #: Name → scenes per net or stratum, seed, description, horizon in s, strata.
 LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
     TUNING_LIST: (20, TUNING_SEED, "to tune on: no table uses these scenes", HORIZON_S, None),
@@ -64,6 +71,13 @@ LISTS: dict[str, tuple[int, int, str, float, Mapping[str, Stratum] | None]] = {
     RED_LIGHTS_LIST: (
         *(30, RED_LIGHTS_SEED, "seed scenes before red lights, for bench defects: nothing is tuned on them"),
         *(DEFECTS_HORIZON_S, RED_LIGHTS),
+    ),
+    JUNCTIONS_LIST: (
+        15,
+        JUNCTIONS_SEED,
+        "seed scenes before oncoming traffic and yellow lights, for bench defects: nothing is tuned on them",
+        DEFECTS_HORIZON_S,
+        JUNCTIONS,
     ),
 }
 

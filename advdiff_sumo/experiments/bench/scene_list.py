@@ -21,8 +21,8 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 
 FORMAT: Literal["advdiff-scenes-1"] = "advdiff-scenes-1"
 TABLE_LIST, TUNING_LIST = "scenes-300", "scenes-tuning"
-DEFECTS_LIST, RED_LIGHTS_LIST = "scenes-defects", "scenes-red-lights"
-TABLE_SEED, TUNING_SEED, DEFECTS_SEED, RED_LIGHTS_SEED = 3001, 7001, 9201, 9301
+DEFECTS_LIST, RED_LIGHTS_LIST, JUNCTIONS_LIST = "scenes-defects", "scenes-red-lights", "scenes-junctions"
+TABLE_SEED, TUNING_SEED, DEFECTS_SEED, RED_LIGHTS_SEED, JUNCTIONS_SEED = 3001, 7001, 9201, 9301, 9401
 _ADDED = {"situation": "any", "pedestrians_per_km": 0.0, "stratum": "", "strata": {}, "log": "", "demand": ""}
 """Fields added to lists later, with their defaults; they are written only if they differ from these."""
 HORIZON_S, DEFECTS_HORIZON_S = 10.0, 30.0

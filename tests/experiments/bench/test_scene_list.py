@@ -15,6 +15,7 @@ from advdiff_sumo.experiments.bench.cells import BenchCell, plan_cells
 from advdiff_sumo.experiments.bench.defect_score import scene_order
 from advdiff_sumo.experiments.bench.scene_list import (
     DEFECTS_LIST,
+    JUNCTIONS_LIST,
     RED_LIGHTS_LIST,
     TABLE_LIST,
     TABLE_SEED,
@@ -35,6 +36,7 @@ DIGESTS = {
     TABLE_LIST: "c34b7930804bf5646eeff8e9e2dbaec77b4dfaa45c5988e174ed2d2853219cb5",
     DEFECTS_LIST: "3523276600883a28508ddb2a437f59666a15574f6722c8a2e178a2cf2b9ffcdf",
     RED_LIGHTS_LIST: "922c7caf421e0357cadfa259e0f25164b4aa2e52697edf9cc95c5b24a14edd57",
+    JUNCTIONS_LIST: "d677ce15104abc66f5a8427ac8ea26d5ca1c6ffca1ae704fc4213ef6c7728c67",
 }
 
 
@@ -114,7 +116,7 @@ def test_the_shipped_lists_are_what_their_tool_makes(tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes() == shipped_list(name).read_bytes()
 
 
-@pytest.mark.parametrize("name", [DEFECTS_LIST, RED_LIGHTS_LIST])
+@pytest.mark.parametrize("name", [DEFECTS_LIST, RED_LIGHTS_LIST, JUNCTIONS_LIST])
 def test_the_lists_by_situation_are_what_their_tool_makes(name: str) -> None:
     tool = Path(__file__).parents[3] / "tools" / "make_bench_scenes.py"
     done = subprocess.run(

@@ -179,12 +179,15 @@ def _print(console: Console, results: FolderRows, overall: Figures) -> None:
 def _print_rates(
     console: Console, episodes: Sequence[Row], failures: Sequence[Row], overall: Figures
 ) -> None:
+    situations = {row.get("situation") for row in (*episodes, *failures)}
+    by_situation = ("situation",) if len(situations) > 1 else ()
     table = _table(
         f"{counted(overall.episodes, 'episode')}; rates in % with 95 % Wilson intervals",
         *(
             "target",
             "background",
             "net",
+            *by_situation,
             "n",
             "valid failures",
             "critical",
@@ -196,18 +199,19 @@ def _print_rates(
         ),
         dispensable=(*_DISPENSABLE_RATES, "failed") if failures else ("failed", *_DISPENSABLE_RATES),
     )
-    columns = ("target", "target_options", "background", "background_options", "net")
+    columns = ("target", "target_options", "background", "background_options", "net", *by_situation)
     names = _net_names(episodes, failures)
     for key, figures in by_kind(episodes, failures, columns).items():
-        target, target_options, background, background_options, net = key
+        target, target_options, background, background_options, net, *situation = key
         table.add_row(
             target + _options_text(target_options),
             background + _options_text(background_options),
             names[net],
+            *situation,
             *_rate_cells(figures),
         )
     table.add_section()
-    table.add_row("all", "", "", *_rate_cells(overall))
+    table.add_row("all", "", "", *("" for _ in by_situation), *_rate_cells(overall))
     table.print(console)
 
 

@@ -13,7 +13,7 @@ from advdiff_sumo.config import Options, OwnOptions, Seed, Variants, read_toml
 from advdiff_sumo.core.errors import AdvdiffError, ConfigError
 from advdiff_sumo.maps.shipped_nets import net_name
 from advdiff_sumo.sim.run_episodes import RunOptions
-from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
+from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions, Situation
 
 
 class Choice(Options):
@@ -59,15 +59,17 @@ class NetChoice(Options):
 
 
 class Grid(Options):
-    """Every combination of net, target and background.
+    """Every combination of net, situation, target and background.
 
     Attributes:
         nets: names, files, or tables with ``net``, ``demand`` and ``scenes``.
+        situations: values of ``scene.situation``; empty: that of the sweep's ``scene``.
         targets: drivers of the target.
         backgrounds: drivers of the background vehicles.
     """
 
     nets: tuple[NetChoice, ...] = (NetChoice(net="downtown"),)
+    situations: tuple[Situation, ...] = ()
     targets: tuple[Choice, ...] = ()
     backgrounds: tuple[Choice, ...] = ()
 
@@ -190,16 +192,26 @@ class SweepSpec(Options):
                 raise ConfigError(f"the grid is empty: grid.{name} has no entry; name at least one")
         targets = list(_combinations(grid.targets, "grid.targets"))
         backgrounds = list(_combinations(grid.backgrounds, "grid.backgrounds"))
-        for net, seed, target, background in product(grid.nets, self.seeds, targets, backgrounds):
+        places = product(grid.nets, self._scenes_of(grid), self.seeds)
+        for (net, scene, seed), target, background in product(places, targets, backgrounds):
             values = {
                 **net.model_dump(),
                 "target": target[0],
                 "target_options": target[1],
                 "background": background[0],
                 "background_options": background[1],
-                "scene": self.scene,
+                "scene": scene,
             }
             yield "", self._cell("grid", seed, self.episodes, values)
+
+    def _scenes_of(self, grid: Grid) -> list[SceneOptions]:
+        """Return how the seed scenes of *grid* are found: once for each of its situations."""
+        if grid.situations and self.scene.situation != "any":
+            raise ConfigError("scene.situation stands beside grid.situations; leave one out")
+        if len(set(grid.situations)) < len(grid.situations):
+            raise ConfigError("grid.situations names a situation twice; leave one out")
+        situations = grid.situations or (self.scene.situation,)
+        return [self.scene.model_copy(update={"situation": situation}) for situation in situations]
 
     def _cell(self, where: str, seed: int, episodes: int, values: Mapping[str, Any]) -> RunOptions:
         shared = {"seed": seed, "episodes": episodes, "horizon_s": self.horizon_s, "sim": self.sim}

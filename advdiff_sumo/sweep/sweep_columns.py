@@ -30,6 +30,7 @@ JOB_COLUMNS: Mapping[str, Column] = {
     "attack": _text("the background's option attack, or attacks, or else its name"),
     "root_seed": Column("int64", "", "root of the random numbers", False),
     "number": Column("int64", "", "number of the seed scene on that net with that seed", False),
+    "situation": _text("option scene.situation of the seed scene"),
 }
 FAILURE_COLUMNS: Mapping[str, Column] = {
     **{name: JOB_COLUMNS[name] for name in JOB_COLUMNS},
@@ -76,6 +77,7 @@ def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
         ),
         "root_seed": options.seed,
         "number": job.number,
+        "situation": options.scene.situation,
     }
 
 

@@ -145,6 +145,21 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 
 
+def test_results_by_situation(sweeps: Path, here: Callable[..., Outcome]) -> None:
+    text = SWEEP.replace(
+        'targets = ["IDM", "lane_graph"]', 'targets = ["IDM"]\nsituations = ["any", "turning"]'
+    )
+    (sweeps / "situations.toml").write_text(text)
+    done = here("sweep", "situations.toml", "--executor", "serial", "--out", "done")
+    rows = pq.read_table(sweeps / "done" / "episodes.parquet").to_pylist()
+    assert [row["situation"] for row in rows] == ["any"] * 3 + ["turning"] * 3
+    assert len({row["scene_key"] for row in rows}) == 6
+    lines = [line.split("│") for line in done.out.splitlines() if line.startswith("│ IDM")]
+    assert [[cell.strip() for cell in cells[3:6]] for cells in lines[:2]] == [
+        *(["grid", "any", "3"], ["grid", "turning", "3"]),
+    ]
+
+
 @pytest.mark.slow
 def test_killed_interrupted_and_resumed(sweeps: Path) -> None:
     fewer = SWEEP.replace("episodes = 3", "episodes = 9").replace(', "lane_graph"', "")

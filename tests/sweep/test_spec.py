@@ -32,6 +32,16 @@ def test_a_grid_is_every_combination() -> None:
     assert {cell.episodes for cell in cells} == {7}
 
 
+def test_a_grid_of_situations() -> None:
+    """Net by net, situation by situation; the other options of the seed scenes are those of all."""
+    grid = {**GRID, "nets": ["downtown", "motorway"], "situations": ["any", "merging"]}
+    cells = list(SweepSpec.of({"grid": grid, "scene": {"density_per_km": 9.0}}, "x").cells())
+    assert [(cell.net, cell.scene.situation) for cell in cells] == [
+        *(("downtown", "any"), ("downtown", "merging"), ("motorway", "any"), ("motorway", "merging")),
+    ]
+    assert {cell.scene.density_per_km for cell in cells} == {9.0}
+
+
 def test_a_list_is_taken_as_it_is() -> None:
     cases = [{"target": "ACC"}, {"target": "ACC", "seed": 9, "episodes": 3}]
     cells = list(SweepSpec.of({"cases": cases, "seeds": [0, 1]}, "x").cells())
@@ -76,6 +86,12 @@ def test_a_case_may_have_scenes_of_its_own() -> None:
         ({"grid": {**GRID, "targets": []}}, ("the grid is empty", "grid.targets")),
         ({"grid": {**GRID, "nets": []}}, ("the grid is empty", "grid.nets")),
         ({"grid": {**GRID, "backgrounds": []}}, ("the grid is empty", "grid.backgrounds")),
+        ({"grid": {**GRID, "situations": ["mergin"]}}, ("grid.situations.0", "merging")),
+        (
+            {"grid": {**GRID, "situations": ["merging"]}, "scene": {"situation": "turning"}},
+            ("scene.situation stands beside grid.situations; leave one out",),
+        ),
+        ({"grid": {**GRID, "situations": ["any", "any"]}}, ("grid.situations names a situation twice",)),
         ({}, ("asks for no episode", "[grid]")),
         ({"grid": GRID, "seeds": []}, ("seeds is empty",)),
         ({"grid": GRID, "episodes": 0}, ("episodes = 0", "greater than or equal to 1")),

@@ -19,7 +19,7 @@ from advdiff_sumo.core.wording import counted, in_series
 from advdiff_sumo.experiments.folder_rows import FolderRows
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, archive
 from advdiff_sumo.metrics.near_miss import resolution_clause
-from advdiff_sumo.metrics.severity import has_outcome, is_failure, is_valid_failure, worst_first
+from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_failure, is_valid_failure, worst_first
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.attack_words import plan_lines, position_lines
 from advdiff_sumo.report.nets import place_names
@@ -289,6 +289,8 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
         elif row.get("critical"):
             who = f" with {row['near_miss_partner']}" if row.get("near_miss_partner") else ""
             outcome = f"critical near miss{who}, {resolution_clause(row['resolved_by'])}"
+        elif broke_rule(row):
+            outcome = f"broke a rule: {str(row['offences']).replace('_', ' ')}"
         values = (_value_text(row["min_ttc_s"], "s"), _value_text(row["min_clearance_m"], "m"))
         sides = (row[side] + _options_text(row[f"{side}_options"]) for side in ("target", "background"))
         table.add_row(row["key"], *sides, outcome, *values)

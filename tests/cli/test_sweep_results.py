@@ -52,3 +52,12 @@ def test_the_partner_of_a_critical_near_miss_is_named(capsys: pytest.CaptureFixt
     out = capsys.readouterr().out
     assert "critical near miss with v80, resolved by: other" in out
     assert "critical near miss, resolved by: other" in out  # of a folder of an earlier version
+
+
+def test_rules_that_the_target_broke_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"key": "a1", "target": "my:P", "background": "replay", "end": "horizon", "target_collision": False}
+    row |= {"target_options": "{}", "background_options": "{}", "min_ttc_s": 1.0, "min_clearance_m": 2.0}
+    print_worst(Console(width=200, markup=False), [{**row, "offences": "red_light, speeding"}, row])
+    out = capsys.readouterr().out
+    assert "broke a rule: red light, speeding" in out
+    assert "│ horizon " in out  # of one that broke none

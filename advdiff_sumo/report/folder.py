@@ -26,7 +26,7 @@ _OPTION_TABLES = ("target_options", "background_options")
 #: Columns that only a sweep's episodes have; in a run they get the values of its options.
 JOB_COLUMNS = (
     *("key", "scene_key", "net", "target", "target_options"),
-    *("background", "background_options", "attack", "root_seed"),
+    *("background", "background_options", "attack", "root_seed", "situation"),
     *("approach", "attacker_manoeuvre", "target_manoeuvre"),
 )
 

@@ -1,12 +1,12 @@
 """Makes the tables of a sweep.
 
-They are the rates of each target in each background, and the archive: which encounters occurred, and in which of them
-each target failed.
+They are the rates of each target in each background and situation, and the archive: which encounters occurred, and in
+which of them each target failed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, Elite, archive
@@ -18,7 +18,7 @@ from advdiff_sumo.report.labels import Labels
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """One target in one background: valid failures, collisions of the target, those that it caused, failed episodes."""
+    """One target in one column: valid failures, collisions of the target, those that it caused, failed episodes."""
 
     valid: Rate
     collisions: Rate
@@ -28,33 +28,44 @@ class MatrixCell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """The table of targets (rows) and backgrounds (columns).
+    """A table of targets (rows) and backgrounds or situations (columns).
 
     Attributes:
         targets: labels of the rows.
-        backgrounds: labels of the columns.
+        columns: labels of the columns.
         cells: rows of cells; None for a pair that was not run.
     """
 
     targets: tuple[str, ...]
-    backgrounds: tuple[str, ...]
+    columns: tuple[str, ...]
     cells: tuple[tuple[MatrixCell | None, ...], ...]
 
     @property
     def is_single(self) -> bool:
         """Whether there is at most one cell, whose figures are those of the headline."""
-        return len(self.targets) * len(self.backgrounds) <= 1
+        return len(self.targets) * len(self.columns) <= 1
 
 
 def matrix_of(rows: Sequence[Row], labels: Labels) -> Matrix:
-    """Return the matrix of *rows* of ``episodes.parquet``, in the order of their first episodes."""
+    """Return the matrix of targets and backgrounds of *rows* of ``episodes.parquet``."""
+    return _matrix(rows, labels, labels.background)
+
+
+def situations_of(rows: Sequence[Row], labels: Labels) -> Matrix | None:
+    """Return the matrix of targets and situations of *rows* of ``episodes.parquet``; None if all have the same one."""
+    matrix = _matrix(rows, labels, lambda row: str(row.get("situation")))
+    return matrix if len(matrix.columns) > 1 else None
+
+
+def _matrix(rows: Sequence[Row], labels: Labels, column_of: Callable[[Row], str]) -> Matrix:
+    """Return the matrix of *rows*; its targets and columns are in the order of their first episodes."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((labels.target(row), labels.background(row)), []).append(row)
+        groups.setdefault((labels.target(row), column_of(row)), []).append(row)
     targets = tuple(dict.fromkeys(target for target, _ in groups))
-    backgrounds = tuple(dict.fromkeys(background for _, background in groups))
-    cells = tuple(tuple(_cell(groups.get((t, b))) for b in backgrounds) for t in targets)
-    return Matrix(targets, backgrounds, cells)
+    columns = tuple(dict.fromkeys(column for _, column in groups))
+    cells = tuple(tuple(_cell(groups.get((target, column))) for column in columns) for target in targets)
+    return Matrix(targets, columns, cells)
 
 
 def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:

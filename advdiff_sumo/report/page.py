@@ -18,7 +18,7 @@ from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels, run_title
 from advdiff_sumo.report.margin_pairs import margins_of
 from advdiff_sumo.report.margin_table import read_command
-from advdiff_sumo.report.matrix import archives_of, matrix_of
+from advdiff_sumo.report.matrix import archives_of, matrix_of, situations_of
 from advdiff_sumo.report.nets import NetLayers, place_names
 from advdiff_sumo.report.overview import Overview, overview_of
 from advdiff_sumo.report.rate_blocks import headline
@@ -78,6 +78,7 @@ def report_html(run: FinishedRun) -> str:
             archives=archives_of(run.episodes, labels),
             manoeuvres=MANOEUVRES,
             matrix=matrix_of(run.episodes, labels),
+            situations=situations_of(run.episodes, labels),
             histograms=histograms(samples_by_background(run, natural_episodes, labels)),
             maps=maps,
             problems=[nets.problems[net] for net in sorted(nets.problems)],

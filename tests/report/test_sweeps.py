@@ -14,7 +14,7 @@ import pytest
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
-from advdiff_sumo.report.matrix import ArchiveLine, ArchiveTable, matrix_of
+from advdiff_sumo.report.matrix import ArchiveLine, ArchiveTable, matrix_of, situations_of
 from advdiff_sumo.report.nets import place_name, place_names
 from advdiff_sumo.report.page import write_report
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes, thinned_tracks
@@ -70,7 +70,7 @@ def test_a_runs_episodes_get_its_options(two_episodes: Path) -> None:
 
 def test_matrix_counts_finished_episodes(run: FinishedRun) -> None:
     matrix = matrix_of(run.episodes, Labels(run.episodes))
-    assert (matrix.targets, matrix.backgrounds) == (("IDM", "lane_graph"), ("sumo", "replay"))
+    assert (matrix.targets, matrix.columns) == (("IDM", "lane_graph"), ("sumo", "replay"))
     cells = [
         [(c.collisions.count, c.collisions.total, c.at_fault.count) for c in row if c] for row in matrix.cells
     ]
@@ -92,6 +92,18 @@ def test_a_cell_says_out_of_how_many_each_count_is(sweep_folder: Path, tmp_path:
     assert "<b>–</b> not judged<br> <span" in page
     assert ">collisions in 0 of 1 (0.0 %); at fault in 0</span><br><span" in page
     assert page.count(">1 of 2 failed</span></td>") == 1, "lane_graph's; IDM's cell says nothing of failures"
+
+
+def test_targets_by_situation(run: FinishedRun) -> None:
+    labels = Labels(run.episodes)
+    assert situations_of(run.episodes, labels) is None, "written without situations"
+    names = ("any", "yellow", "any", "yellow")
+    rows = [{**row, "situation": name} for row, name in zip(run.episodes, names, strict=True)]
+    matrix = situations_of(rows, labels)
+    assert matrix is not None
+    assert (matrix.targets, matrix.columns) == (("IDM", "lane_graph"), ("any", "yellow"))
+    assert sum(cell.failed.total for cells in matrix.cells for cell in cells if cell) == 4
+    assert situations_of([{**row, "situation": "any"} for row in run.episodes], labels) is None
 
 
 def test_pairs_that_were_not_run_have_no_cell(run: FinishedRun) -> None:

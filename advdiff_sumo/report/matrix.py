@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from advdiff_sumo.metrics.archive import MANOEUVRES, ArchiveCell, Elite, archive
-from advdiff_sumo.metrics.severity import has_outcome, is_failure, is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, has_outcome, is_failure, is_valid_failure
 from advdiff_sumo.metrics.statistics import Rate
 from advdiff_sumo.report.folder import Row
 from advdiff_sumo.report.labels import Labels
@@ -18,11 +18,20 @@ from advdiff_sumo.report.labels import Labels
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """One target in one column: valid failures, collisions of the target, those that it caused, failed episodes."""
+    """One target in one column.
+
+    Attributes:
+        valid: valid failures.
+        collisions: collisions of the target.
+        at_fault: those that it caused.
+        offences: episodes in which it broke a rule.
+        failed: failed episodes.
+    """
 
     valid: Rate
     collisions: Rate
     at_fault: Rate
+    offences: Rate
     failed: Rate
 
 
@@ -79,6 +88,7 @@ def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:
         valid=Rate.of_flags(valid),
         collisions=Rate.of_flags(has_collided),
         at_fault=Rate.of_flags(is_at_fault),
+        offences=Rate.of_flags([broke_rule(row) for row in counted if row["offences"] is not None]),
         failed=Rate.of_flags([is_failure(row) for row in rows]),
     )
 

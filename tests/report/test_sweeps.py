@@ -82,13 +82,18 @@ def test_a_cell_says_out_of_how_many_each_count_is(sweep_folder: Path, tmp_path:
     """One of IDM's two episodes is judged, none of lane_graph's, of which one finished."""
     folder = shutil.copytree(sweep_folder, tmp_path / "judged")
     table = pq.read_table(folder / "episodes.parquet")
-    for name, values in (("background", ["sumo"] * 4), ("valid_failure", [None, True, None, None])):
+    for name, values in (
+        ("background", ["sumo"] * 4),
+        ("valid_failure", [None, True, None, None]),
+        ("offences", ["", "speeding", None, None]),
+    ):
         field = table.schema.field(name)
         table = table.set_column(table.schema.get_field_index(name), field, pa.array(values, field.type))
     pq.write_table(table, folder / "episodes.parquet")
     page = " ".join(write_report(folder).read_text(encoding="utf-8").split())
     assert "<b>100.0 %</b> [20.7 %, 100.0 %]<br> <span" in page
-    assert ">1 of 1 judged; collisions in 1 of 2 (50.0 %); at fault in 1</span>" in page
+    counts = "collisions in 1 of 2 (50.0 %); at fault in 1; broke a rule in 1 of 2"
+    assert f">1 of 1 judged; {counts}</span>" in page
     assert "<b>–</b> not judged<br> <span" in page
     assert ">collisions in 0 of 1 (0.0 %); at fault in 0</span><br><span" in page
     assert page.count(">1 of 2 failed</span></td>") == 1, "lane_graph's; IDM's cell says nothing of failures"

@@ -13,9 +13,9 @@ _HEAD_ON_RAD = 2.2  # least angle between lanes that meet head-on at a junction
 
 
 def links_over(road: RoadMap, junction_id: str) -> tuple[Link, ...]:
-    """Return the links of vehicles over a junction, those of each incoming lane in turn."""
-    junction = road.junctions[junction_id]
-    lanes = (road.lanes.get(name) for name in junction.incoming_lanes)
+    """Return the links of vehicles over a junction, those of each incoming lane in turn; () if there is no such one."""
+    junction = road.junctions.get(junction_id)
+    lanes = (road.lanes.get(name) for name in (junction.incoming_lanes if junction is not None else ()))
     incoming = (lane for lane in lanes if lane is not None and lane.is_drivable and not lane.is_internal)
     return tuple(link for lane in incoming for link in lane.successors if link.junction_id == junction_id)
 

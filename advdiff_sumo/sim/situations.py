@@ -65,7 +65,7 @@ def in_situation(
         frame: the states.
         row: of the vehicle.
         route: its edges from the present one on.
-        signals: the traffic lights; of the next changes only those at which they turn yellow matter.
+        signals: the traffic lights; their next changes matter for "yellow" alone.
     """
     if situation in _LANE_TESTS:
         return _LANE_TESTS[situation](road, world, frame, row)

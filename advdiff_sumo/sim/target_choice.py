@@ -108,7 +108,7 @@ class TargetChoice:
             if api.vehicle.getVehicleClass(world.ids[row]) == "passenger"
         ]
         with_route = [row for row in passenger_cars if self._has_route(api, world, row)]
-        signals = _signals(api)
+        signals = _signals(api, with_changes=self.scene.situation == "yellow")
         usable = [row for row in with_route if self._is_in_situation(api, world, frame, row, signals)]
         stages = zip(
             Lacking, (cars, fast_cars, with_neighbours, passenger_cars, with_route, usable), strict=True
@@ -134,11 +134,17 @@ class TargetChoice:
         return is_long_enough and not any(turns_round(road, a, b) for a, b in pairwise(route))
 
 
-def _signals(api: Any) -> Signals:
-    """Return the traffic lights of libsumo *api* now; those without phases, as of railways, have no next state."""
+def _signals(api: Any, with_changes: bool) -> Signals:
+    """Return the traffic lights of libsumo *api* now; those without phases, as of railways, have no next state.
+
+    Args:
+        api: libsumo.
+        with_changes: whether their next states are read, too.
+    """
     lights, now_s = api.trafficlight, float(api.simulation.getTime())
     names = lights.getIDList()
-    phases = {name: phase for name in names if (phase := _next_phase(lights, name)) is not None}
+    changing = names if with_changes else ()
+    phases = {name: phase for name in changing if (phase := _next_phase(lights, name)) is not None}
     return Signals(
         states={name: lights.getRedYellowGreenState(name) for name in names},
         next_states={name: phase.state for name, phase in phases.items()},

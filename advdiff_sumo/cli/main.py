@@ -31,6 +31,7 @@ from advdiff_sumo.cli.report import report
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
+from advdiff_sumo.cli.system_errors import check_encoding, system_error
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.cli.train_rl import train_rl
@@ -117,13 +118,19 @@ def _common(
 
 def main() -> None:
     """Run the command line and exit; an error that the user can correct is one sentence on stderr, exit code 2."""
-    if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
-        sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
     message = INTERRUPTION
     try:
+        check_encoding()
+        if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
+            sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
         code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:
         _refuse(str(error))
+    except OSError as error:
+        sentence = system_error(error)
+        if sentence is None:
+            raise
+        _refuse(sentence)
     except typer.TyperException as error:
         _refuse(_usage_error(error))
     except (KeyboardInterrupt, typer.Abort):

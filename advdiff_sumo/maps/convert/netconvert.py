@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import sumolib
 
-from advdiff_sumo.core.errors import NetError
+from advdiff_sumo.core.errors import NetError, os_reason
 from advdiff_sumo.maps.sumo_files import drop_header
 
 PRECISION = "4"  # decimals of coordinates and lengths
 TIMEOUT_S = 600  # limit for one run of a SUMO tool
+_BUILT = "built.net.xml"  # in a folder of its own: SUMO takes an output with a colon in its path for a host and port
 
 
 def run_netconvert(
@@ -29,11 +32,11 @@ def run_netconvert(
         lefthand: whether traffic keeps left.
 
     Raises:
-        NetError: netconvert refused the plan.
+        NetError: netconvert refused the plan, or the net cannot be written.
     """
     options = {
-        **{name: str(path) for name, path in files.items()},
-        "output-file": str(out_net),
+        **{name: str(path.absolute()) for name, path in files.items()},
+        "output-file": _BUILT,
         "offset.disable-normalization": "true",
         "precision": PRECISION,
         "no-turnarounds": "true",
@@ -53,13 +56,21 @@ def run_netconvert(
         sumolib.checkBinary("netconvert"),
         *(f"--{name}={value}" for name, value in sorted(options.items())),
     ]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    lines = [line.strip() for line in result.stderr.splitlines() if line.strip()]
-    if result.returncode != 0 or not out_net.exists():
-        message = " ".join(lines[:3])
-        if "Could not build output file" in message:
-            raise NetError(out_net, f"cannot be written ({message})", "choose another --output")
-        raise NetError(out_net, "netconvert refused the plan: " + message, "this is a fault of the converter")
+    with tempfile.TemporaryDirectory() as folder:
+        result = subprocess.run(
+            command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, cwd=folder
+        )
+        lines = [line.strip() for line in result.stderr.splitlines() if line.strip()]
+        built = Path(folder) / _BUILT
+        if result.returncode != 0 or not built.exists():
+            message = "netconvert refused the plan: " + " ".join(lines[:3])
+            raise NetError(out_net, message, "this is a fault of the converter")
+        try:
+            shutil.copyfile(built, out_net)
+        except OSError as error:
+            raise NetError(
+                out_net, f"cannot be written ({os_reason(error)})", "choose another --output"
+            ) from None
     drop_header(out_net)
     return tuple(line for line in lines if line.startswith("Warning"))
 

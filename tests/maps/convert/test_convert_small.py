@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_maps import MapBuilder, crossroads, two_lane_road
 
+from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure, statistics_of
 from advdiff_sumo.maps.convert.netread import read_net
@@ -50,6 +51,20 @@ def test_lanes_side_by_side_share_an_edge_right_to_left(tmp_path: Path) -> None:
     for edge in net.getEdges():
         assert [lane.getShape()[0][1] for lane in edge.getLanes()] == pytest.approx([100.0, 103.5])
     check_invariants(result)
+
+
+def test_a_colon_in_the_path_of_the_net(tmp_path: Path) -> None:
+    folder = tmp_path / "at 10:30"
+    folder.mkdir()
+    check_invariants(converted(two_lane_road(), folder))
+
+
+def test_a_net_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "small.net.xml").mkdir()
+    with pytest.raises(
+        NetError, match=r"small\.net\.xml: cannot be written \(Is a directory\); choose another"
+    ):
+        converted(two_lane_road(), tmp_path)
 
 
 def test_lefthand_counts_lanes_from_the_left(tmp_path: Path) -> None:

@@ -26,10 +26,11 @@ def terminal(**options: Any) -> Console:
     would interpret as markup and emoji. Give colours as ``style`` or as :class:`rich.text.Text`.
 
     Rich assumes 80 columns for a pipe and breaks tables, even within words. Here, tables are fitted to a width only in
-    a terminal, or if the variable ``COLUMNS`` gives the width.
+    a terminal, or if the variable ``COLUMNS`` gives the width; some shells without a window set it to 0.
     """
-    console = Console(markup=False, emoji=False, **options)
-    if not console.is_terminal and "COLUMNS" not in os.environ and "width" not in options:
+    environment = {name: value for name, value in os.environ.items() if (name, value) != ("COLUMNS", "0")}
+    console = Console(markup=False, emoji=False, _environ=environment, **options)
+    if not console.is_terminal and "COLUMNS" not in environment and "width" not in options:
         console.width = PIPED_WIDTH
     return console
 

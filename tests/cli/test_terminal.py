@@ -30,7 +30,8 @@ def _piped(columns: str | None) -> list[str]:
 
 
 def test_words_are_not_broken_in_a_pipe() -> None:
-    assert any("k" * 60 in line and "w" * 60 in line for line in _piped(None))
+    for columns in (None, "0"):
+        assert any("k" * 60 in line and "w" * 60 in line for line in _piped(columns))
 
 
 def test_the_width_of_columns_is_used() -> None:

@@ -19,7 +19,7 @@ LONG = "x" * 300
 @pytest.mark.parametrize(
     "words",
     [
-        ("run", "--net", "grid.net.xml", "--out", LONG),
+        ("verdict", LONG),
         ("run", "--net", LONG),
         ("results", LONG),
         ("figure", LONG, "out.svg"),

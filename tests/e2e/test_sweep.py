@@ -145,7 +145,10 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 
 
-def test_results_by_situation(sweeps: Path, here: Callable[..., Outcome]) -> None:
+def test_results_by_situation(
+    sweeps: Path, here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "250")  # room for all columns
     text = SWEEP.replace(
         'targets = ["IDM", "lane_graph"]', 'targets = ["IDM"]\nsituations = ["any", "turning"]'
     )

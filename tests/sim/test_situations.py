@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import SceneError
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.signal_letters import GREEN, RED, YELLOW
-from advdiff_sumo.maps import RoadMap
+from advdiff_sumo.maps import Link, RoadMap
 from advdiff_sumo.planners.planner_registry import make_target
 from advdiff_sumo.sim.episode import Episode
 from advdiff_sumo.sim.seed_scene import SeedScene
@@ -30,10 +30,22 @@ def scenes(networks: Path, situation: str) -> tuple[RoadMap, list[SeedScene]]:
     return road, source.batch(0)
 
 
-def episode_of(scene: SeedScene, road: RoadMap) -> Any:
-    """Return the record of half a second from *scene* on, and its timing."""
+def episode_of(scene: SeedScene, road: RoadMap, horizon_s: float = 0.5) -> Any:
+    """Return the record of *horizon_s* from *scene* on, and its timing."""
     target, policy = make_target("careful", {}), make_policy("sumo", {})
-    return Episode(0, scene, road, target, policy, ("careful", "sumo"), SimOptions(), 0.5, SeedTree(1)).run()
+    return Episode(
+        0, scene, road, target, policy, ("careful", "sumo"), SimOptions(), horizon_s, SeedTree(1)
+    ).run()
+
+
+def approach(road: RoadMap, scene: SeedScene) -> tuple[Link, float, float]:
+    """Return the target's link over the next junction, the distance of its centre to the stop line, and its speed."""
+    now, row = scene.history, scene.history.index[scene.target]
+    pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
+    assert pose is not None
+    lane, beyond = road.lanes[pose.lane_id], scene.routes[scene.target][1]
+    (link,) = [x for x in lane.successors if road.lanes[x.to_lane].edge_id == beyond]
+    return link, lane.length_m - pose.s_m, float(now.speed_mps[row, -1])
 
 
 def test_a_follower_has_a_leader_in_its_lane(networks: Path) -> None:
@@ -66,20 +78,14 @@ def test_a_target_that_meets_oncoming_traffic_turns_left_with_priority_from_ahea
     """The lane from ahead leads straight over the junction where the target, turning across it, must wait."""
     road, found = scenes(networks, "oncoming")
     for scene in found:
-        now, row = scene.history, scene.history.index[scene.target]
-        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
-        assert pose is not None
-        lane = road.lanes[pose.lane_id]
-        assert 14.9 < lane.length_m - pose.s_m < 60.1
-        (link,) = [
-            x for x in lane.successors if road.lanes[x.to_lane].edge_id == scene.routes[scene.target][1]
-        ]
+        link, distance_m, _ = approach(road, scene)
+        assert 14.9 < distance_m < 60.1
         assert link.direction.lower() == "l"
         from_ahead = [
             x
             for name in road.junctions[link.junction_id].incoming_lanes
             for x in road.lanes[name].successors
-            if abs(wrap_angle(_end_yaw(road, name) - _end_yaw(road, lane.id))) > np.deg2rad(120.0)
+            if abs(wrap_angle(_end_yaw(road, name) - _end_yaw(road, link.from_lane))) > np.deg2rad(120.0)
         ]
         assert any(road.must_yield(link, x) and x.direction == "s" for x in from_ahead)
 
@@ -100,25 +106,15 @@ def test_a_target_before_a_red_light_is_the_first_one_there(networks: Path) -> N
 
 
 def test_a_light_turns_yellow_in_time_to_stop_and_red_before_the_target_arrives(networks: Path) -> None:
-    """Natural traffic is the target's driver here: the first vehicle, at its light, in the record of six seconds."""
+    """By the lights in the record of the next eight seconds, if the target keeps its speed."""
     road, found = scenes(networks, "yellow")
     for scene in found:
-        now, row = scene.history, scene.history.index[scene.target]
-        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
-        assert pose is not None
-        lane, speed_mps = road.lanes[pose.lane_id], float(now.speed_mps[row, -1])
-        beyond = scene.routes[scene.target][1]
-        (link,) = [x for x in lane.successors if road.lanes[x.to_lane].edge_id == beyond]
-        target, policy = make_target("lane_graph", {}), make_policy("sumo", {})
-        played = Episode(
-            0, scene, road, target, policy, ("lane_graph", "sumo"), SimOptions(), 8.0, SeedTree(1)
-        )
-        record, _ = played.run()
+        link, distance_m, speed_mps = approach(road, scene)
+        record, _ = episode_of(scene, road, 8.0)
         letters = [link.signal(states) for states in record.signals]
         assert letters[0] in GREEN
         yellow_s = 0.1 * next(k for k, letter in enumerate(letters) if letter in YELLOW)
         red_s = 0.1 * next(k for k, letter in enumerate(letters) if letter in RED)
-        distance_m = lane.length_m - pose.s_m
         assert red_s - 0.2 <= distance_m / speed_mps <= red_s + 3.2
         assert distance_m - speed_mps * yellow_s >= 0.97 * (speed_mps + speed_mps**2 / 6.0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import logging
-import os
 import sys
 from typing import Annotated, NoReturn
 
@@ -31,7 +30,7 @@ from advdiff_sumo.cli.report import report
 from advdiff_sumo.cli.results import results
 from advdiff_sumo.cli.run import run
 from advdiff_sumo.cli.sweep import sweep
-from advdiff_sumo.cli.system_errors import check_encoding, system_error
+from advdiff_sumo.cli.system_errors import checked_folder, system_error
 from advdiff_sumo.cli.terminal import terminal
 from advdiff_sumo.cli.train import train
 from advdiff_sumo.cli.train_rl import train_rl
@@ -120,9 +119,9 @@ def main() -> None:
     """Run the command line and exit; an error that the user can correct is one sentence on stderr, exit code 2."""
     message = INTERRUPTION
     try:
-        check_encoding()
-        if os.getcwd() not in sys.path:  # noqa: PTH109 - sys.path holds text
-            sys.path.insert(0, os.getcwd())  # noqa: PTH109 - a user's own planner may lie here, as with python -m
+        here = checked_folder()
+        if here not in sys.path:
+            sys.path.insert(0, here)  # a user's own planner may lie here, as with python -m
         code = app(prog_name="advdiff-sumo", standalone_mode=False)
     except AdvdiffError as error:
         _refuse(str(error))

@@ -23,8 +23,8 @@ _REMEDIES: Mapping[int | None, str] = {
 """Number of an error of the system → what to do."""
 
 
-def check_encoding() -> None:
-    """Check that the working folder and the words of the command line are text.
+def checked_folder() -> str:
+    """Return the working folder, after a check that it and the words of the command line are text.
 
     Python reads other bytes as surrogates, which neither pyarrow nor a file of settings can hold.
 
@@ -43,6 +43,7 @@ def check_encoding() -> None:
             remedy = "rename it" if coding == "utf-8" else "set LC_ALL=C.UTF-8"
             shown = os.fsencode(name).decode(errors="backslashreplace")
             raise InputError(f"{shown}: its bytes are no text in {coding}; {remedy}") from None
+    return here
 
 
 def system_error(error: OSError) -> str | None:

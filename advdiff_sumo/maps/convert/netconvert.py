@@ -11,6 +11,7 @@ from pathlib import Path
 import sumolib
 
 from advdiff_sumo.core.errors import NetError, os_reason
+from advdiff_sumo.core.whole_file import whole_file
 from advdiff_sumo.maps.sumo_files import drop_header
 
 PRECISION = "4"  # decimals of coordinates and lengths
@@ -66,7 +67,8 @@ def run_netconvert(
             message = "netconvert refused the plan: " + " ".join(lines[:3])
             raise NetError(out_net, message, "this is a fault of the converter")
         try:
-            shutil.copyfile(built, out_net)
+            with whole_file(out_net) as temporary:
+                shutil.copyfile(built, temporary)
         except OSError as error:
             raise NetError(
                 out_net, f"cannot be written ({os_reason(error)})", "choose another --output"

@@ -32,6 +32,7 @@ from advdiff_sumo.sweep.sweep_files import write_whole
 DETECTIONS, FIRST, BY_STRATUM = "detections.csv", "first_detection.csv", "by_stratum.csv"
 FINDINGS = "findings.csv"
 COUNTS = ("scenes", "failures", "sound_failures", "only_defect", "only_sound")
+RULE_COLUMNS = ("broke_rule", "sound_broke_rule", "rules_p_holm", "detected_by_rules")
 SCORE = "detected / planted"
 NOTES = (
     "Cells: share of episodes that end in a valid failure of the target, 95 % Wilson interval. Bold: detected, the "
@@ -50,7 +51,8 @@ class Contest:
         target: as registered.
         sound: outcomes of the sound target.
         defective: outcomes with each defect, by its name.
-        detections: the test of each defect.
+        detections: the test of each defect, by valid failures.
+        rule_detections: the same by the rules that the target broke, with or without a collision.
         first: effort until the first detection; None if no defect is detected.
         auc: how well valid failures rank the target with a defect above the sound targets with this background,
             including ``careful``; None without a defect.
@@ -61,6 +63,7 @@ class Contest:
     sound: SceneOutcomes
     defective: Mapping[str, SceneOutcomes]
     detections: tuple[Detection, ...]
+    rule_detections: tuple[Detection, ...]
     first: FirstDetection | None
     auc: float | None
 
@@ -97,7 +100,8 @@ def contests_of(gathered: Gathered, cells: BenchCells) -> tuple[Contest, ...]:
         sound = by_defect.pop(SOUND)
         detected, first = detections(sound, by_defect), first_detection(sound, by_defect)
         auc = ranking_auc(sound_shares[background], _failure_shares(by_defect.values()))
-        contests.append(Contest(background, target, sound, by_defect, detected, first, auc))
+        by_rules = detections(sound, by_defect, "broke_rule")
+        contests.append(Contest(background, target, sound, by_defect, detected, by_rules, first, auc))
     return tuple(contests)
 
 
@@ -125,7 +129,9 @@ def defects_table(
             lines.append(_score_line(target, by_row))
     scenes = cells.scenes
     title = f"Planted defects: {counted(len(scenes.scenes), 'seed scene')}, {folder.request.horizon_s:g} s"
-    sentences = tuple(_first_note(each) + _rank_note(each.auc) for each in contests if each.defective)
+    sentences = tuple(
+        _first_note(each) + _rank_note(each.auc) + _rules_note(each) for each in contests if each.defective
+    )
     planted_count = {contest.target: len(contest.detections) for contest in contests}
     warnings = (too_few_scenes(len(scenes.scenes), target, count) for target, count in planted_count.items())
     sentences = (*sentences, *(sentence for sentence in warnings if sentence))
@@ -134,14 +140,17 @@ def defects_table(
 
 
 def detections_text(contests: tuple[Contest, ...]) -> str:
-    """Return a CSV line for each defect, target and background: counts and test."""
+    """Return a CSV line for each defect, target and background: counts and test, also those of broken rules."""
     rows = []
     for contest in contests:
-        for detection in contest.detections:
+        for detection, by_rules in zip(contest.detections, contest.rule_detections, strict=True):
             numbers = (getattr(detection, name) for name in COUNTS)
             test = (f"{detection.p:.6g}", f"{detection.adjusted:.6g}", str(detection.detected).lower())
-            rows.append((contest.background, contest.target, detection.defect, *numbers, *test))
-    return comma_separated(("background", "target", "defect", *COUNTS, "p", "p_holm", "detected"), rows)
+            broke = (by_rules.failures, by_rules.sound_failures, f"{by_rules.adjusted:.6g}")
+            rule_test = (*broke, str(by_rules.detected).lower())
+            rows.append((contest.background, contest.target, detection.defect, *numbers, *test, *rule_test))
+    names = ("background", "target", "defect", *COUNTS, "p", "p_holm", "detected", *RULE_COLUMNS)
+    return comma_separated(names, rows)
 
 
 def first_text(contests: tuple[Contest, ...]) -> str:
@@ -261,3 +270,13 @@ def _source_note(folder: Folder) -> tuple[str, ...]:
 
 def _rank_note(auc: float | None) -> str:
     return "" if auc is None else f" Its valid failures rank defective above sound planners: AUC {auc:.3f}."
+
+
+def _rules_note(contest: Contest) -> str:
+    """Return which defects show in broken rules only, by the same test as valid failures."""
+    names = [
+        f"{by_rules.defect} ({by_rules.failures} of {by_rules.scenes}, sound {by_rules.sound_failures})"
+        for by_failures, by_rules in zip(contest.detections, contest.rule_detections, strict=True)
+        if by_rules.detected and not by_failures.detected
+    ]
+    return f" Only rules broken without a collision reveal {in_series(names)}." if names else ""

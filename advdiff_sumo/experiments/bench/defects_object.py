@@ -19,8 +19,9 @@ def defects_object(path: Path, table: Table) -> dict[str, Any]:
     Returns:
         ``folder``; ``detected`` and ``planted``, counts over all backgrounds and targets; ``defects``, an object each
         with ``background``, ``target``, ``defect``, ``detected``, ``p``, ``p_holm``, and counts of seed scenes:
-        ``scenes`` (finished by both), ``failures``, ``sound_failures``, ``only_defect``, ``only_sound``; ``sound``,
-        valid failures of sound targets by background; ``notes``.
+        ``scenes`` (finished by both), ``failures``, ``sound_failures``, ``only_defect``, ``only_sound``; by broken
+        rules ``broke_rule`` and ``sound_broke_rule``, counts of scenes, ``rules_p_holm``, ``detected_by_rules`` (not in
+        folders of earlier versions); ``sound``, valid failures of sound targets by background; ``notes``.
 
     Raises:
         FileError: the table of detections is missing or damaged.
@@ -47,7 +48,16 @@ def _defect(row: Mapping[str, str]) -> dict[str, Any]:
         "detected": row["detected"] == "true",
         **{name: float(row[name]) for name in ("p", "p_holm")},
         **{name: int(row[name]) for name in COUNTS},
+        **_by_rules(row),
     }
+
+
+def _by_rules(row: Mapping[str, str]) -> dict[str, Any]:
+    if "detected_by_rules" not in row:  # of an earlier version
+        return {}
+    counts = {name: int(row[name]) for name in ("broke_rule", "sound_broke_rule")}
+    detected = row["detected_by_rules"] == "true"
+    return {**counts, "rules_p_holm": float(row["rules_p_holm"]), "detected_by_rules": detected}
 
 
 def _sound(table: Table) -> list[dict[str, Any]]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from operator import attrgetter
 from typing import Any, TypeAlias
 
-from advdiff_sumo.metrics.severity import is_valid_failure
+from advdiff_sumo.metrics.severity import broke_rule, is_valid_failure
 from advdiff_sumo.metrics.statistics import holm, mcnemar_more
 
 LEVEL = 0.05
@@ -21,15 +22,17 @@ class EpisodeOutcome:
     Attributes:
         failed: it ended in a valid failure.
         cpu_s: its processor time.
+        broke_rule: the target broke a rule, with or without a collision.
     """
 
     failed: bool
     cpu_s: float = 0.0
+    broke_rule: bool = False
 
     @staticmethod
     def of(row: Mapping[str, Any], cpu_s: float | None) -> EpisodeOutcome:
         """Return the outcome of a row of ``episodes``; a collision that cannot be judged is no valid failure."""
-        return EpisodeOutcome(is_valid_failure(row), cpu_s or 0.0)
+        return EpisodeOutcome(is_valid_failure(row), cpu_s or 0.0, broke_rule(row))
 
 
 SceneOutcomes: TypeAlias = Mapping[str, EpisodeOutcome]
@@ -38,13 +41,13 @@ SceneOutcomes: TypeAlias = Mapping[str, EpisodeOutcome]
 
 @dataclass(frozen=True)
 class Detection:
-    """The test of one defect with one background.
+    """The test of one defect with one background, by valid failures or by another event.
 
     Attributes:
         defect: its name with its severity.
         scenes: number of scenes that both targets finished.
-        failures: scenes with a valid failure of the defective target.
-        sound_failures: scenes with a valid failure of the sound target.
+        failures: scenes with a valid failure (or the event) of the defective target.
+        sound_failures: scenes with one of the sound target.
         only_defect: scenes in which only the defective target failed.
         only_sound: scenes in which only the sound target failed.
         p: exact McNemar test, one-sided.
@@ -62,7 +65,7 @@ class Detection:
 
     @property
     def detected(self) -> bool:
-        """Whether its failures significantly exceed the sound planner's."""
+        """Whether they significantly exceed the sound planner's."""
         return self.adjusted < LEVEL
 
 
@@ -83,12 +86,23 @@ class FirstDetection:
     cpu_s: float
 
 
-def detections(sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes]) -> tuple[Detection, ...]:
-    """Return the test of each of *defective* against *sound*, in their order."""
+def detections(
+    sound: SceneOutcomes, defective: Mapping[str, SceneOutcomes], event: str = "failed"
+) -> tuple[Detection, ...]:
+    """Return the test of each of *defective* against *sound*, in their order.
+
+    Args:
+        sound: outcomes of the sound target.
+        defective: outcomes with each defect.
+        event: what is compared, a flag of :class:`EpisodeOutcome`.
+    """
+    has_event: Callable[[EpisodeOutcome], bool] = attrgetter(event)
     comparisons = []
     for name, outcomes in defective.items():
         pairs = [
-            (outcome.failed, sound[scene].failed) for scene, outcome in outcomes.items() if scene in sound
+            (has_event(outcome), has_event(sound[scene]))
+            for scene, outcome in outcomes.items()
+            if scene in sound
         ]
         comparisons.append((name, pairs, pairs.count((True, False)), pairs.count((False, True))))
     p_values = [mcnemar_more(only_defect, only_sound) for *_, only_defect, only_sound in comparisons]

@@ -18,6 +18,7 @@ class BreachKind(StrEnum):
     SPEEDING = "speeding"
     REVERSING = "reversing"
     OFF_ROAD = "off_road"
+    CLOSE_FOLLOWING = "close_following"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.junction_rules import breach_towards_pedestrian, signals_are_unknown
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, Encounter, Party
-from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD
+from advdiff_sumo.metrics.lane_entry import OPPOSITE_RAD, LaneEntry
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -82,11 +82,15 @@ def lane_entry_breach(view: TrafficView, case: Encounter, index: int) -> Breach 
         return None
     other = case.parties[1 - index]
     lane = "lane" if other.is_pedestrian else f"lane of '{other.name}'"
+    return unsafe_entry_breach(entry, lane, "walked" if party.is_pedestrian else "moved sideways")
+
+
+def unsafe_entry_breach(entry: LaneEntry, lane: str, moved: str = "moved sideways") -> Breach:
+    """Return the breach of *entry* into *lane* ("lane of 'x'"); *moved* is what it did if it was beside the other."""
     if entry.gap_m < 0.0:
-        moved = "walked" if party.is_pedestrian else "moved sideways"
-        return Breach(BreachKind.SIDEWAYS, party.row, entry.time_s, f"{moved} into the {lane}, beside it")
+        return Breach(BreachKind.SIDEWAYS, entry.row, entry.time_s, f"{moved} into the {lane}, beside it")
     gaps = f"{entry.gap_m:.1f} m ahead ({entry.needed_m:.1f} m are needed)"
-    return Breach(BreachKind.UNSAFE_LANE_ENTRY, party.row, entry.time_s, f"entered the {lane} {gaps}")
+    return Breach(BreachKind.UNSAFE_LANE_ENTRY, entry.row, entry.time_s, f"entered the {lane} {gaps}")
 
 
 def sideways_breach(view: TrafficView, case: Encounter, index: int) -> Breach | None:

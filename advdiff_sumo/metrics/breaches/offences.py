@@ -13,6 +13,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.conduct_rules import REVERSING_MPS, drove_backwards, drove_too_fast
+from advdiff_sumo.metrics.breaches.following_offences import close_following, unsafe_lane_entries
 from advdiff_sumo.metrics.breaches.giving_way import giving_way_breaches
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
@@ -23,6 +24,7 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 OFFENCE_KINDS = frozenset(
     {
         *(BreachKind.RED_LIGHT, BreachKind.WRONG_SIDE, BreachKind.RIGHT_OF_WAY),
+        *(BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SIDEWAYS, BreachKind.CLOSE_FOLLOWING),
         *(BreachKind.SPEEDING, BreachKind.REVERSING),
     }
 )
@@ -35,11 +37,14 @@ _ROUNDING = 1e-6
 
 
 def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
-    """Return the rules that the target broke, in time order; speeding, wrong side and reversing at most once each.
+    """Return the rules that the target broke, in time order.
+
+    Speeding, wrong side, reversing and close following are returned at most once each.
 
     Leaving the road counts as a collision and is not included. A red light counts if the signal was red from the
     instant before the front passed the line until the centre was on the junction. Giving way counts if a vehicle with
-    the right of way had to brake hard (:mod:`~advdiff_sumo.metrics.breaches.giving_way`).
+    the right of way had to brake hard (:mod:`~advdiff_sumo.metrics.breaches.giving_way`). So does entering a lane
+    (:mod:`~advdiff_sumo.metrics.breaches.following_offences`).
 
     Args:
         record: the episode; without signals there are no red lights.
@@ -51,6 +56,8 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
     breaches = chain(
         _red_lights(view, record.target),
         giving_way_breaches(record, view),
+        unsafe_lane_entries(record, view),
+        close_following(record, view),
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )

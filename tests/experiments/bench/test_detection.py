@@ -137,8 +137,10 @@ def test_too_few_scenes_are_told_with_the_number_that_would_do() -> None:
 # --- the bench --------------------------------------------------------------------------------------------
 
 
-def gathered(folder: Folder, fails: dict[tuple[str, str], int]) -> tuple[Gathered, object]:
-    """Return what a sweep would have given: each cell fails in the first so many of the list's scenes."""
+def gathered(
+    folder: Folder, fails: dict[tuple[str, str], int], breaks: dict[tuple[str, str], int] | None = None
+) -> tuple[Gathered, object]:
+    """Return what a sweep would have given: each cell fails, or runs a red light, in the first so many scenes."""
     cells = plan_defects(folder, Silent())
     order, found = scene_order(cells), Gathered()
     for cell, job in cells.jobs():
@@ -147,6 +149,7 @@ def gathered(folder: Folder, fails: dict[tuple[str, str], int]) -> tuple[Gathere
             "target_collision": failed,
             "valid_failure": failed,
             "end": "collision" if failed else "horizon",
+            "offences": "red_light" * (order[job.scene_key] < (breaks or {}).get((cell.row, cell.defect), 0)),
         }
         found.finished.setdefault(cell, []).append(EpisodeResult(job.scene_key, row, UNTRACED, None, 2.0))
     return found, cells
@@ -194,6 +197,30 @@ def test_cells_are_paired_and_ordered_and_their_table_says_what_is_detected(tmp_
     )
     draw(tmp_path / "table.png", table)
     assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_defects_that_show_in_broken_rules_only_are_named(tmp_path: Path) -> None:
+    """Seven of twelve scenes, two defects: 2 / 2⁷. What fails validly as well is named as detected only."""
+    folder = Folder(tmp_path, REQUEST)
+    breaks = {("sumo", "late:strong"): 8, ("sumo", "range:middle"): 7, ("replay", "late:strong"): 5}
+    found, cells = gathered(folder, {("sumo", "late:strong"): 8}, breaks)
+    contests = tuple(one for one in contests_of(found, cells) if one.target == "lane_graph")  # type: ignore[arg-type] # the cells
+    rows = list(csv.DictReader(io.StringIO(detections_text(contests))))
+    assert [(row["detected"], row["detected_by_rules"]) for row in rows] == [
+        ("true", "true"),
+        ("false", "true"),
+        ("false", "false"),
+        ("false", "false"),
+    ]
+    assert [row["broke_rule"] for row in rows] == ["8", "7", "5", "0"]
+    assert float(rows[1]["rules_p_holm"]) == pytest.approx(1 / 2**7, rel=1e-5)  # the lower p is that of late
+    notes = [
+        note
+        for note in defects_table(contests, found, cells, folder).notes  # type: ignore[arg-type] # the cells
+        if "reveal" in note
+    ]
+    assert len(notes) == 1
+    assert notes[0].endswith("Only rules broken without a collision reveal range:middle (7 of 12, sound 0).")
 
 
 def test_the_order_of_scenes_is_that_of_the_list_in_which_nets_take_turns(tmp_path: Path) -> None:

@@ -185,6 +185,11 @@ def test_a_users_own_net_is_used_and_too_few_scenes_are_reported(grid: Path, tmp
         name: row[name] for name in ("scenes", "failures", "sound_failures")
     }
     assert defect["p"] == float(row["p"])
+    assert (defect["detected_by_rules"], row["detected_by_rules"]) == (False, "false")
+    assert (str(defect["broke_rule"]), str(defect["sound_broke_rule"])) == (
+        row["broke_rule"],
+        row["sound_broke_rule"],
+    )
     assert (found["folder"], found["detected"], found["planted"]) == (str(folder), 0, 1)
     assert [(x["background"], x["target"], x["scenes"]) for x in found["sound"]] == [
         ("scripted", "careful", 2),

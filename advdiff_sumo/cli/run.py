@@ -84,18 +84,13 @@ def run(
     """
     one_thread_for_good()
     end_as_by_ctrl_c()
-    cli_options: dict[str, Any] = {
-        "net": net,
-        "target": target,
-        "background": background,
-        "episodes": episodes,
-    }
-    cli_options |= {"demand": demand and str(demand), "scenes": scenes and str(scenes), "horizon_s": horizon}
+    chosen: dict[str, Any] = {"net": net, "target": target, "background": background, "episodes": episodes}
+    chosen |= {"demand": demand and str(demand), "scenes": scenes and str(scenes), "horizon_s": horizon}
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
-    policy |= {"attack": attack, "guide": guide, "weights": flags.weights_of(weights)}
-    policy |= {"reward": reward and str(reward.resolve()), "device": device}
+    policy |= {"attack": attack, "guide": guide, "weights": flags.weights_of(weights), "device": device}
+    policy["reward"] = reward and str(reward.resolve())
     resumed = _settings_to_resume(out, resume, retry_failed)
-    options = options_given(config or resumed, cli_options | {"seed": seed}, policy, assign or [], defect)
+    options = options_given(config or resumed, chosen | {"seed": seed}, policy, assign or [], defect)
     prepared, notes = _prepared(options, gui)
     console = terminal(quiet=quiet or as_json)
     folder = _resumed_or_new(console, prepared, notes, out, resumed)

@@ -62,15 +62,12 @@ def sweep(
     from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
     from advdiff_sumo.experiments.folder_rows import rows_of_sweep
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
-    from advdiff_sumo.sweep.sweep_store import must_be_free
 
     worker.end_as_by_ctrl_c()
     check_retry(retry_failed, resume is not None)
-    resumed = _resumed_store(resume, out)
+    resumed = _resumed_store(resume, out, dry_run)
     console, condition = terminal(quiet=quiet or as_json), condition_of(fail_if)
     slots = workers or worker.cores()
-    if out is not None and resume is None and not dry_run:
-        must_be_free(out)  # before the plan, which takes a while
     with ExitStack() as stack:
         if dry_run:
             stack.enter_context(explains_how_to_continue(lambda: None, _DRY_RUN_INTERRUPTED))
@@ -80,8 +77,7 @@ def sweep(
             jobs = RemainingJobs.of(plan, resumed, limit, retry_failed)
             _print_estimate(console, plan, jobs, slots, limits)
             return
-        if junit is not None:
-            check_junit(junit)
+        check_junit(junit)
         task_executor = _executor(executor, workers if ray_address else slots, ray_address, plan, limits)
         _print_changed_code(plan, resumed)
         folder = resume or out or _new_folder(console, file)
@@ -95,14 +91,17 @@ def sweep(
     conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
 
 
-def _resumed_store(resume: Path | None, out: Path | None) -> Store | None:
-    """Return the sweep to resume; None if a new one is begun.
+def _resumed_store(resume: Path | None, out: Path | None, dry_run: bool) -> Store | None:
+    """Return the sweep to resume; None if a new one is begun, or would be by *dry_run*.
 
     Raises:
         ConfigError: *out* names another folder than *resume*.
+        FileError: a new sweep is to be written into *out*, which is in use.
     """
-    from advdiff_sumo.sweep.sweep_store import Store
+    from advdiff_sumo.sweep.sweep_store import Store, must_be_free
 
+    if out is not None and resume is None and not dry_run:
+        must_be_free(out)
     if resume is not None and out is not None and out.resolve() != resume.resolve():
         raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
     return None if resume is None else Store.open(resume)

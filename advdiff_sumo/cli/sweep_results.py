@@ -86,12 +86,14 @@ def conclude(console: Console, results: FolderRows, condition: Condition | None,
         terminal(stderr=True).print(f"note: {ignored}", style="yellow", soft_wrap=True)
 
 
-def check_junit(path: Path) -> None:
-    """Make the folder of the JUnit file *path*.
+def check_junit(path: Path | None) -> None:
+    """Make the folder of the JUnit file *path*, if one is given.
 
     Raises:
         FileError: the folder cannot be made, or the file cannot be written into it.
     """
+    if path is None:
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -23,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.encounter_features import FEATURES
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference, is_probed
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
+from advdiff_sumo.traffic.policy_protocol import TrafficPolicy
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
 EPISODE_S = 7.0
@@ -89,14 +90,7 @@ def meet(
         EpisodeFailure: planner or background fail before their first plan in several episodes in a row.
     """
     run = Run.prepare(options)
-    policy = run.policy
-    if not isinstance(policy, ScriptedTraffic | DiffusionTraffic) or policy.options.licence == "reckless":
-        raise ConfigError("a lawful warm-up is for background 'scripted' or 'diffusion' under a licence")
-    if isinstance(policy, DiffusionTraffic) and not policy.options.guided:
-        raise ConfigError("warm-up is for traffic that attacks: give a guide, and a strength above 0")
-    if policy.options.attack in UNPREDICTED_KINDS:
-        kinds = ", ".join(KINDS)
-        raise ConfigError(f"a warm-up learns nothing of --attack {policy.options.attack}; give any, {kinds}")
+    policy = _with_encounters(run.policy)
     log = EncounterLog(policy)
     run = replace(run, policy=log)
     features, encounter_outcomes = np.zeros((0, len(FEATURES))), np.zeros(0)
@@ -125,6 +119,22 @@ def meet(
         if plans_made >= plans:
             break
     return MetEncounters(predictor, features, encounter_outcomes, plans_made, episodes)
+
+
+def _with_encounters(policy: TrafficPolicy) -> ScriptedTraffic | DiffusionTraffic:
+    """Return *policy*.
+
+    Raises:
+        ConfigError: it has no encounters, or nothing is learned of its attack.
+    """
+    if not isinstance(policy, ScriptedTraffic | DiffusionTraffic) or policy.options.licence == "reckless":
+        raise ConfigError("a lawful warm-up is for background 'scripted' or 'diffusion' under a licence")
+    if isinstance(policy, DiffusionTraffic) and not policy.options.guided:
+        raise ConfigError("warm-up is for traffic that attacks: give a guide, and a strength above 0")
+    if policy.options.attack in UNPREDICTED_KINDS:
+        kinds = ", ".join(KINDS)
+        raise ConfigError(f"a warm-up learns nothing of --attack {policy.options.attack}; give any, {kinds}")
+    return policy
 
 
 def with_room(scenes: Iterable[SeedScene]) -> Iterator[SeedScene]:

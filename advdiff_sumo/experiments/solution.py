@@ -97,7 +97,7 @@ def solve(
     """
     options = options or SolveOptions()
     tracks = episode.tracks
-    contact = first_contact(tracks, episode.target) if contact is None else contact
+    contact = first_contact_step(tracks, episode.target) if contact is None else contact
     stride = max(round(MODEL_STEP_S / tracks.dt_s), 1)
     absent_steps = np.flatnonzero(~tracks.valid[episode.target, :contact])
     earliest_step = int(absent_steps[-1]) + 1 if absent_steps.size else 0
@@ -120,7 +120,7 @@ def solve(
     return _solution(begin_step * tracks.dt_s, contact * tracks.dt_s, trajectories, is_solution, effort_mps2)
 
 
-def first_contact(tracks: Tracks, target: int) -> int:
+def first_contact_step(tracks: Tracks, target: int) -> int:
     """Return the first instant at which the box of *target* overlaps another one, else its last instant."""
     touching_steps = np.flatnonzero((_gaps(tracks, target) < 0.0).any(axis=0))
     return int(touching_steps[0]) if len(touching_steps) else int(np.flatnonzero(tracks.valid[target])[-1])

@@ -12,9 +12,9 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.record import Controller, EpisodeRecord
 from advdiff_sumo.core.scene import AgentClass, Tracks
-from advdiff_sumo.metrics.contact import SEPARATED_M, contact_of
-from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, may_touch
+from advdiff_sumo.metrics.continuous_collision import TOUCH_M, BoxMotion, first_contact, may_touch
 from advdiff_sumo.metrics.kinematics import unbroken_steps
+from advdiff_sumo.metrics.target_contact import SEPARATED_M, contact_of
 
 #: Steps searched at once: in so short a time few pairs of agents come near each other.
 _CHUNK = 20
@@ -170,8 +170,8 @@ def _candidates(tracks: Tracks, usable: BoolArray) -> Iterator[tuple[IntArray, I
         i, j = first[near_pairs], second[near_pairs]
         begin, end = tracks.xy_m[:, start:stop], tracks.xy_m[:, start + 1 : stop + 1]
         yaw = tracks.yaw_rad[:, start:stop]
-        sweep = Sweep(begin, yaw, end - begin, yaw, half)  # may_touch ignores headings and turns
-        near = may_touch(sweep.rows(i), sweep.rows(j)) & usable_here[i] & usable_here[j]
+        motion = BoxMotion(begin, yaw, end - begin, yaw, half)  # may_touch ignores headings and turns
+        near = may_touch(motion.rows(i), motion.rows(j)) & usable_here[i] & usable_here[j]
         pair, step = np.nonzero(near)
         yield i[pair], j[pair], step + start
 
@@ -187,7 +187,7 @@ def _bounds_overlap(tracks: Tracks, start: int, stop: int, first: IntArray, seco
 def _touches_of(
     tracks: Tracks, first: IntArray, second: IntArray, step: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    fraction = first_contact(Sweep.of(tracks, first, step), Sweep.of(tracks, second, step))
+    fraction = first_contact(BoxMotion.of(tracks, first, step), BoxMotion.of(tracks, second, step))
     hit = ~np.isnan(fraction)
     return first[hit], second[hit], step[hit], fraction[hit]
 
@@ -217,7 +217,7 @@ def _collision(tracks: Tracks, target: int, usable: BoolArray, touches: Touches,
     i, j, step = int(touches.first[index]), int(touches.second[index]), int(touches.step[index])
     rows = (j, i) if j == target else (i, j)
     fraction = float(touches.fraction[index])
-    pair = Sweep.of(tracks, np.array(rows), np.array([step, step]))
+    pair = BoxMotion.of(tracks, np.array(rows), np.array([step, step]))
     a, b = pair.rows(np.array([0])), pair.rows(np.array([1]))
     contact = contact_of(a, b, fraction, rows[1])
     xy, yaw = pair.pose(fraction)

@@ -25,7 +25,7 @@ LEAST_ADVANCE = 1e-3
 
 
 @dataclass(frozen=True)
-class Sweep:
+class BoxMotion:
     """One step of K boxes.
 
     Attributes:
@@ -45,15 +45,15 @@ class Sweep:
     @staticmethod
     def between(
         xy0_m: FloatArray, yaw0_rad: FloatArray, xy1_m: FloatArray, yaw1_rad: FloatArray, size_m: FloatArray
-    ) -> Sweep:
+    ) -> BoxMotion:
         """Return the step from the first poses to the second ones; *size_m* is (K, 2) length and width."""
-        return Sweep(xy0_m, yaw0_rad, xy1_m - xy0_m, wrap_angle(yaw1_rad - yaw0_rad), 0.5 * size_m)
+        return BoxMotion(xy0_m, yaw0_rad, xy1_m - xy0_m, wrap_angle(yaw1_rad - yaw0_rad), 0.5 * size_m)
 
     @staticmethod
-    def of(tracks: Tracks, row: IntArray, step: IntArray) -> Sweep:
+    def of(tracks: Tracks, row: IntArray, step: IntArray) -> BoxMotion:
         """Return the steps of agents *row* (K,) of *tracks* from instants *step* (K,) to the next ones."""
         begin, end = (row, step), (row, step + 1)
-        return Sweep.between(
+        return BoxMotion.between(
             tracks.xy_m[begin],
             tracks.yaw_rad[begin],
             tracks.xy_m[end],
@@ -61,9 +61,9 @@ class Sweep:
             tracks.size_m[row],
         )
 
-    def rows(self, rows: IntArray | BoolArray) -> Sweep:
+    def rows(self, rows: IntArray | BoolArray) -> BoxMotion:
         """Return the boxes at *rows* (indices or a mask)."""
-        return Sweep(
+        return BoxMotion(
             self.xy_m[rows], self.yaw_rad[rows], self.move_m[rows], self.turn_rad[rows], self.half_m[rows]
         )
 
@@ -74,14 +74,14 @@ class Sweep:
 
 
 def gaps_at(
-    a: Sweep, b: Sweep, share_a: FloatArray | float, share_b: FloatArray | float
+    a: BoxMotion, b: BoxMotion, share_a: FloatArray | float, share_b: FloatArray | float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the result of ``boxes.axis_gaps`` for boxes a and b at these shares (K,) of their steps."""
     (xy_a, yaw_a), (xy_b, yaw_b) = a.pose(share_a), b.pose(share_b)
     return axis_gaps(xy_b - xy_a, yaw_a, a.half_m, yaw_b, b.half_m)
 
 
-def may_touch(a: Sweep, b: Sweep) -> BoolArray:
+def may_touch(a: BoxMotion, b: BoxMotion) -> BoolArray:
     """Return (K,) whether the circles around the boxes come near enough for a contact; False for NaN.
 
     Never False for a pair that touches. The offset between the centres moves on a segment. Its length is at least that
@@ -93,7 +93,7 @@ def may_touch(a: Sweep, b: Sweep) -> BoolArray:
     return np.asarray(_norm(middle) - _norm(half_move) <= reach)
 
 
-def first_contact(a: Sweep, b: Sweep) -> FloatArray:
+def first_contact(a: BoxMotion, b: BoxMotion) -> FloatArray:
     """Return (K,) the share of the step in [0, 1) at which boxes a and b first touch; NaN where they do not.
 
     A contact that begins exactly at the end belongs to the next step. Only contacts shorter than ``LEAST_ADVANCE`` of
@@ -113,7 +113,7 @@ def first_contact(a: Sweep, b: Sweep) -> FloatArray:
     return np.where(hit, fraction, np.nan)
 
 
-def _advance(a: Sweep, b: Sweep, fraction: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _advance(a: BoxMotion, b: BoxMotion, fraction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps (K,) at *fraction* (K,) and the share of the step by which time may safely advance."""
     gaps, along, axes = gaps_at(a, b, fraction, fraction)
     closing = -np.sign(along) * np.einsum("kic,kc->ki", axes, b.move_m - a.move_m)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.continuous_collision import Sweep, gaps_at
+from advdiff_sumo.metrics.continuous_collision import BoxMotion, gaps_at
 from advdiff_sumo.metrics.criticality import Extreme
 from advdiff_sumo.metrics.kinematics import unbroken_steps
 
@@ -106,5 +106,7 @@ def _least_wait(
 
 def _sweeps(
     tracks: Tracks, target: int, own_step: IntArray, other_step: IntArray, row: IntArray
-) -> tuple[Sweep, Sweep]:
-    return Sweep.of(tracks, np.full(len(own_step), target), own_step), Sweep.of(tracks, row, other_step)
+) -> tuple[BoxMotion, BoxMotion]:
+    return BoxMotion.of(tracks, np.full(len(own_step), target), own_step), BoxMotion.of(
+        tracks, row, other_step
+    )

@@ -15,7 +15,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import BoxMotion, first_contact
 from advdiff_sumo.metrics.kinematics import velocities
 from advdiff_sumo.metrics.safe_gap import RESPONSE_S
 
@@ -168,12 +168,12 @@ def first_contact_step(a: Poses, b: Poses, a_size_m: FloatArray, b_size_m: Float
         a_size_m: (2,) length and width of the first box.
         b_size_m: (2,) length and width of the second box.
     """
-    sweeps = [
-        Sweep.between(
+    motions = [
+        BoxMotion.between(
             x.xy_m[:-1], x.yaw_rad[:-1], x.xy_m[1:], x.yaw_rad[1:], np.broadcast_to(size, (len(x) - 1, 2))
         )
         for x, size in ((a, a_size_m), (b, b_size_m))
     ]
     with np.errstate(invalid="ignore"):
-        contacts = np.flatnonzero(~np.isnan(first_contact(*sweeps)))
+        contacts = np.flatnonzero(~np.isnan(first_contact(*motions)))
     return int(contacts[0]) if contacts.size else None

@@ -6,7 +6,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.contact import JUMP_MPS
+from advdiff_sumo.metrics.target_contact import JUMP_MPS
 
 #: A faster lateral motion is an instantaneous lane change.
 SNAP_MPS = 8.0

@@ -25,7 +25,6 @@ from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
 from advdiff_sumo.metrics.collision import Collision
-from advdiff_sumo.metrics.contact import standing_overlaps
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.encounter import LEAST_SPEED_MPS
 from advdiff_sumo.metrics.kept_motion import (
@@ -41,6 +40,7 @@ from advdiff_sumo.metrics.kept_motion import (
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
 from advdiff_sumo.metrics.reference.drive_contact import is_behind
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
+from advdiff_sumo.metrics.target_contact import standing_overlaps
 
 #: Encounters with a least time to collision below this are near misses.
 NEAR_MISS_TTC_S = 2.5

@@ -12,7 +12,7 @@ from advdiff_sumo.core.errors import NotInsertedError
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, Failure
 from advdiff_sumo.core.scene import AgentClass, Scene, Tracks
-from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
+from advdiff_sumo.metrics.target_contact import standing_overlaps, target_contact
 from advdiff_sumo.planners.planner_protocol import SumoDriver
 from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import Background, MovedMotion, planned_ends

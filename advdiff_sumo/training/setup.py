@@ -27,7 +27,7 @@ from advdiff_sumo.training.cvae import TrafficStage
 from advdiff_sumo.training.dataset import WindowSet, batches, read_window_set, split
 from advdiff_sumo.training.decoder_stage import DecoderStage
 from advdiff_sumo.training.denoiser_stage import DenoiserStage, measure_scale
-from advdiff_sumo.training.joint import JointStage
+from advdiff_sumo.training.joint_stage import JointStage
 from advdiff_sumo.training.presets import STAGES, StageName, TrainOptions
 from advdiff_sumo.training.reward_stage import RewardStage
 from advdiff_sumo.training.simnet_stage import SimnetStage

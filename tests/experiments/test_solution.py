@@ -11,7 +11,7 @@ from advdiff_sumo.core.boxes import corners, overlap
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
-from advdiff_sumo.experiments.solution import SolveOptions, first_contact, met_by, solve
+from advdiff_sumo.experiments.solution import SolveOptions, first_contact_step, met_by, solve
 from advdiff_sumo.experiments.solution_check import BRAKES_MPS2, DELAYS_S, braked, drive, surroundings, usable
 from advdiff_sumo.experiments.solvable import solvable
 from advdiff_sumo.maps import RoadMap
@@ -47,8 +47,8 @@ def drives(road: RoadMap, vehicles: Sequence[tuple[float, float, float]], second
 def test_the_first_contact(downtown: RoadMap) -> None:
     """12 m apart at 10 m/s: boxes of 4.6 m have met when 7.4 m are driven, first seen at 0.8 s."""
     tracks = drives(downtown, [(20.0, 0.0, 10.0), (32.0, 0.0, 0.0)], 2.0)
-    assert first_contact(tracks, 0) == 8
-    assert first_contact(drives(downtown, [(20.0, 0.0, 10.0), (80.0, 0.0, 10.0)], 2.0), 0) == 20
+    assert first_contact_step(tracks, 0) == 8
+    assert first_contact_step(drives(downtown, [(20.0, 0.0, 10.0), (80.0, 0.0, 10.0)], 2.0), 0) == 20
 
 
 def test_who_drives_into_a_standing_car_could_have_braked(downtown: RoadMap, weights: str) -> None:

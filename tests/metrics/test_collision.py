@@ -15,7 +15,7 @@ from advdiff_sumo.metrics.background_metrics import (
     replayed_collisions,
 )
 from advdiff_sumo.metrics.collision import collisions, target_collision
-from advdiff_sumo.metrics.contact import target_contact
+from advdiff_sumo.metrics.target_contact import target_contact
 
 
 def test_rear_end_at_the_worked_time(straight, record_of) -> None:

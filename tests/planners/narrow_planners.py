@@ -10,7 +10,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.plan import Plan
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import seen_from_target
+from advdiff_sumo.planners.defects.planted_defect import seen_from_target
 from advdiff_sumo.planners.lane_graph.lane_graph_planner import LaneGraphPlanner
 
 

@@ -16,7 +16,7 @@ from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects import DEFECTS, SEVERITIES, parse_defect, parse_defects, plant
 from advdiff_sumo.planners.defects.defective_planner import DefectivePlanner
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect
 from advdiff_sumo.planners.planner_check import check_planner, same_plan
 from advdiff_sumo.planners.planner_protocol import Served, SumoDriver
 from advdiff_sumo.planners.planner_registry import make_target
@@ -138,7 +138,7 @@ def test_the_catalogue_is_consistent() -> None:
         assert list(kind.values) in (sorted(kind.values), sorted(kind.values, reverse=True)), kind.name
         assert (kind.sumo is None) == kind.sumo_note.startswith("none: "), kind.name
         for severity in SEVERITIES:
-            assert isinstance(kind.fault(parse_defect(f"{kind.name}:{severity}").value), PlantedFault)
+            assert isinstance(kind.fault(parse_defect(f"{kind.name}:{severity}").value), PlantedDefect)
 
 
 # --- hidden road users -------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from advdiff_sumo.core.boxes import corners, overlap
-from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
+from advdiff_sumo.metrics.target_contact import standing_overlaps, target_contact
 from advdiff_sumo.sim.world import Frame, World, read, register
 from tests.sim.nets import EAST, NORTH, WEST, Stage, stage
 

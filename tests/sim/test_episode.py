@@ -17,7 +17,7 @@ from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.planners.defects.actuation import WeakBrakes
-from advdiff_sumo.planners.defects.defective_planner import with_faults
+from advdiff_sumo.planners.defects.defective_planner import with_defects
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver
 from advdiff_sumo.sim.seed_scene import SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
@@ -225,7 +225,7 @@ def test_the_first_plan_that_no_vehicle_can_drive_is_recorded_with_its_time(
     assert record.implausible == (2, "step 0 moves farther than its speeds allow (plan of 1.0 s)")
 
 
-@pytest.mark.parametrize("target", [AsLongAsItMust(), with_faults(AsLongAsItMust(), (WeakBrakes(2.5),))])
+@pytest.mark.parametrize("target", [AsLongAsItMust(), with_defects(AsLongAsItMust(), (WeakBrakes(2.5),))])
 def test_a_planner_knows_how_long_its_plan_must_be(scene: SeedScene, road: RoadMap, target: Planner) -> None:
     for every in (1, 3):
         record, _ = episode(scene, road, target=target, horizon_s=3.0, replan_every=every).run()

@@ -22,7 +22,7 @@ from advdiff_sumo.training.denoiser_stage import (
     spread_steps,
 )
 from advdiff_sumo.training.displacement import displacement, logged_rollout
-from advdiff_sumo.training.joint import JointStage, road_penalty, vehicle_penalty
+from advdiff_sumo.training.joint_stage import JointStage, road_penalty, vehicle_penalty
 from advdiff_sumo.training.presets import CollisionOptions, ElboOptions
 from advdiff_sumo.training.stage import Moment, Stage, add, means
 from tests.training.conftest import TINY

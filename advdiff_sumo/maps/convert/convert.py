@@ -18,6 +18,7 @@ from advdiff_sumo.maps.convert.control import with_control
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.geometry_checks import check_geometry
 from advdiff_sumo.maps.convert.lane_routes import plan_drivable
+from advdiff_sumo.maps.convert.lane_widths import width_profile
 from advdiff_sumo.maps.convert.layout.cut_crossings import cut_at_crossings
 from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection, find_connections
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
@@ -36,10 +37,9 @@ from advdiff_sumo.maps.convert.rim import ReturnEdge, move_return_edges, return_
 from advdiff_sumo.maps.convert.side_of_road import with_side_of_the_road
 from advdiff_sumo.maps.convert.signals.fixed_times import set_fixed_times
 from advdiff_sumo.maps.convert.signals.programs import write_programs
-from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.sources.nuscenes_map import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 from advdiff_sumo.maps.convert.stop_lines import waiting_turns
-from advdiff_sumo.maps.convert.widths import width_profile
 from advdiff_sumo.maps.convert.write_sidecar import sidecar_path, write_sidecar
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths, add_foot_paths
 

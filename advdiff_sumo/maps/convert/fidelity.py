@@ -17,12 +17,12 @@ from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.convert import ConversionResult
 from advdiff_sumo.maps.convert.dividers import dashed_pairs
 from advdiff_sumo.maps.convert.lane_routes import graph_of_net, undrivable_routes
+from advdiff_sumo.maps.convert.lane_widths import width_between
 from advdiff_sumo.maps.convert.netconvert import EXPLAINED
-from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.osm.add_streets import Streets
 from advdiff_sumo.maps.convert.routability import routability
 from advdiff_sumo.maps.convert.signals.programs import never_red
-from advdiff_sumo.maps.convert.widths import width_between
+from advdiff_sumo.maps.convert.written_net import WrittenNet, read_net
 from advdiff_sumo.maps.on_foot.add_paths import FootPaths
 
 STEP_M = 0.5  # distance between the points at which lines are compared

@@ -15,7 +15,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.convert import ConversionResult
-from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
+from advdiff_sumo.maps.convert.written_net import WrittenNet, read_net
 
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">

@@ -17,12 +17,12 @@ from shapely.ops import substring
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
+from advdiff_sumo.maps.convert.lane_widths import width_between
 from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, LaneUse, SourceLane
-from advdiff_sumo.maps.convert.widths import width_between
 
 LATERAL_MPS2 = 2.5  # comfortable lateral acceleration, which limits the speed in a turn
 SLOWEST_MPS = 3.0  # smallest speed limit in a turn

@@ -15,8 +15,8 @@ from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.convert import ConversionResult
 from advdiff_sumo.maps.convert.fidelity import statistics_of
-from advdiff_sumo.maps.convert.netread import read_net
-from advdiff_sumo.maps.convert.widths import DEFAULT_WIDTH_M, width_between
+from advdiff_sumo.maps.convert.lane_widths import DEFAULT_WIDTH_M, width_between
+from advdiff_sumo.maps.convert.written_net import read_net
 
 NEAR_M = 15.0  # lanes farther from a pose are not considered
 MAX_TURN_RAD = 1.0  # largest angle between a pose and the lane that it drives on

@@ -11,8 +11,8 @@ from advdiff_sumo.core.boxes import corners, distance
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Trajectory
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.metrics.contact import JUMP_MPS
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact, gaps_at
+from advdiff_sumo.metrics.continuous_collision import BoxMotion, first_contact, gaps_at
+from advdiff_sumo.metrics.target_contact import JUMP_MPS
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def touches(drive: Trajectory, others: Tracks, target: int, first_step: int) -> 
 def _within_reach(drive: Trajectory, others: Tracks, target: int) -> tuple[IntArray, IntArray]:
     """Return rows and instants of others so near that they might touch the drive before the next instant.
 
-    Jumps are left out, as in :func:`~advdiff_sumo.metrics.contact.target_contact`.
+    Jumps are left out, as in :func:`~advdiff_sumo.metrics.target_contact.target_contact`.
     """
     size = others.size_m
     offset = others.xy_m[:, :-1] - drive.xy_m[:-1]
@@ -83,16 +83,16 @@ def _within_reach(drive: Trajectory, others: Tracks, target: int) -> tuple[IntAr
 
 def _sweeps(
     drive: Trajectory, others: Tracks, target: int, row: IntArray, step: IntArray
-) -> tuple[Sweep, Sweep]:
+) -> tuple[BoxMotion, BoxMotion]:
     """Return the motion of the drive and of the others in *row* from instants *step* to the next ones."""
-    own = Sweep.between(
+    own = BoxMotion.between(
         drive.xy_m[step],
         drive.yaw_rad[step],
         drive.xy_m[step + 1],
         drive.yaw_rad[step + 1],
         np.broadcast_to(others.size_m[target], (len(row), 2)),
     )
-    return own, Sweep.of(others, row, step)
+    return own, BoxMotion.of(others, row, step)
 
 
 def is_behind(
@@ -103,7 +103,7 @@ def is_behind(
     return np.asarray(along < -0.5 * length_m)
 
 
-def _closing_mps(a: Sweep, b: Sweep, pair: int, fraction: float, dt_s: float) -> float:
+def _closing_mps(a: BoxMotion, b: BoxMotion, pair: int, fraction: float, dt_s: float) -> float:
     """Return the speed at which the boxes of *pair* approach along their contact normal."""
     index = np.array([pair])
     a, b = a.rows(index), b.rows(index)

@@ -15,7 +15,7 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 from advdiff_sumo.core.polylines import stations_m
 from advdiff_sumo.core.scene import Scene
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect
 
 _Bound = Callable[[float, float], float]
 """(Present deceleration in m/s², time step in s) → largest deceleration after the step in m/s²."""
@@ -45,7 +45,7 @@ class _Braking:
         return min(planned, self.before_mps2 + rise_mps3 * elapsed_s + 1e-9)
 
 
-class WeakBrakes(PlantedFault):
+class WeakBrakes(PlantedDefect):
     """The brakes reach at most ``value`` m/s²."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
@@ -53,7 +53,7 @@ class WeakBrakes(PlantedFault):
         return _braked(plan, scene, 0.0, lambda *_: self.value)[0], memory
 
 
-class SlowBrakes(PlantedFault):
+class SlowBrakes(PlantedDefect):
     """The brakes need ``value`` seconds to reach the strongest braking, at a constant rate."""
 
     def act(self, plan: Plan, scene: Scene, memory: Any) -> tuple[Plan, Any]:
@@ -72,7 +72,7 @@ class _StoredPlan:
     at_s: float
 
 
-class StuckReplanning(PlantedFault):
+class StuckReplanning(PlantedDefect):
     """A new plan is made only every ``value`` seconds; in between, the last plan is continued."""
 
     def held_plan(self, scene: Scene, memory: Any) -> Plan | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.planners.defects import actuation, ignored_rules, misjudgement, sensing, stale_tracks
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect
 from advdiff_sumo.planners.planner_protocol import LEFT_OFFSET_M
 
 SEVERITIES = ("weak", "middle", "strong")
@@ -36,7 +36,7 @@ class DefectKind:
     unit: str
     values: tuple[float, float, float]
     bounds: tuple[float, float]
-    fault: Callable[[float], PlantedFault]
+    fault: Callable[[float], PlantedDefect]
     sumo: Callable[[float], SumoParams] | None = None
     sumo_note: str = ""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from advdiff_sumo.core.errors import ConfigError, UnknownNameError, did_you_mean
 from advdiff_sumo.planners.defects.catalogue import DEFECTS, SEVERITIES, DefectKind
-from advdiff_sumo.planners.defects.defective_planner import with_faults
+from advdiff_sumo.planners.defects.defective_planner import with_defects
 from advdiff_sumo.planners.planner_protocol import SumoDriver, Target
 from advdiff_sumo.plugins import fold
 
@@ -115,7 +115,7 @@ def plant(target: Target, defects: Sequence[Defect], name: str) -> Target:
     if not defects:
         return target
     if not isinstance(target, SumoDriver):
-        return with_faults(target, tuple(d.kind.fault(d.value) for d in defects))
+        return with_defects(target, tuple(d.kind.fault(d.value) for d in defects))
     params: dict[str, Any] = dict(target.params)
     planted: dict[str, float] = {}
     for defect in defects:

@@ -13,7 +13,7 @@ from advdiff_sumo.core.plan_form import can_be_driven, in_float64
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect
 from advdiff_sumo.planners.planner_protocol import Planner, Served, ServedPlanner
 
 _SEED_BITS = 62
@@ -49,7 +49,7 @@ class DefectivePlanner:
     """
 
     planner: Planner
-    faults: tuple[PlantedFault, ...]
+    faults: tuple[PlantedDefect, ...]
 
     def start(self, road: RoadMap, scene: Scene, rng: np.random.Generator) -> _Memory:
         """Return the memory of an episode that begins in *scene*."""
@@ -119,7 +119,7 @@ class ServedDefectivePlanner(DefectivePlanner):
         self.planner.close()
 
 
-def with_faults(planner: Planner, faults: tuple[PlantedFault, ...]) -> Planner:
+def with_defects(planner: Planner, faults: tuple[PlantedDefect, ...]) -> Planner:
     """Return *planner* with *faults*."""
     if isinstance(planner, Served):
         return ServedDefectivePlanner(planner, faults)

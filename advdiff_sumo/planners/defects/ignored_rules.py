@@ -14,10 +14,10 @@ from advdiff_sumo.core.scene import AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.core.signal_letters import PLAIN_RED, PROTECTED_GREEN, RED, YELLOW
 from advdiff_sumo.maps import Lane, Link, RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_mask, with_states
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect, chance, others_mask, with_states
 
 
-class IgnoredSignals(PlantedFault):
+class IgnoredSignals(PlantedDefect):
     """Signals on the target's route: red counts as green for its first ``value`` seconds, yellow always.
 
     Crossing traffic then seems to have red, as it would if the target's light were green.
@@ -40,7 +40,7 @@ class IgnoredSignals(PlantedFault):
         return replace(scene, signals=signals), red_since_s
 
 
-class IgnoredPriority(PlantedFault):
+class IgnoredPriority(PlantedDefect):
     """A share ``value`` of the vehicles with the right of way at the next junction is not seen before they leave it."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -73,7 +73,7 @@ class _Change:
     at_s: float
 
 
-class IgnoredCutIns(PlantedFault):
+class IgnoredCutIns(PlantedDefect):
     """Others seem to keep their lane; a lane change is noticed only ``value`` seconds after it is complete."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

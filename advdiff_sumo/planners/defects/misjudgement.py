@@ -14,8 +14,8 @@ from advdiff_sumo.core.plan import Plan, Trajectory
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import (
-    PlantedFault,
+from advdiff_sumo.planners.defects.planted_defect import (
+    PlantedDefect,
     ages_s,
     others_mask,
     seen_from_target,
@@ -26,7 +26,7 @@ _CORRIDOR_M = 2.5  # largest lateral distance of a leader's centre
 _SAME_HEADING_RAD = np.pi / 3.0  # largest difference of its heading
 
 
-class Misjudgement(PlantedFault, ABC):
+class Misjudgement(PlantedDefect, ABC):
     """A fault that changes the states of road users."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

@@ -13,13 +13,13 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.scene import HEAVY_CLASSES, AgentClass, Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, chance, others_mask, seen_from_target
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect, chance, others_mask, seen_from_target
 
 DROPOUT_PERIOD_S = 6.0
 _UNPROTECTED = (AgentClass.MOTORCYCLE, AgentClass.BICYCLE, AgentClass.PEDESTRIAN)
 
 
-class Blindness(PlantedFault, ABC):
+class Blindness(PlantedDefect, ABC):
     """A fault that hides some of the others."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -49,7 +49,7 @@ class TunnelView(Blindness):
         return np.asarray(np.abs(np.arctan2(xy_m[:, 1], xy_m[:, 0])) > 0.5 * np.deg2rad(self.value))
 
 
-class Flicker(PlantedFault):
+class Flicker(PlantedDefect):
     """Each other road user is missed in a share ``value`` of the plans, drawn anew for each plan."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -60,7 +60,7 @@ class Flicker(PlantedFault):
         return scene.without(missed & others_mask(scene)), memory
 
 
-class Dropout(PlantedFault):
+class Dropout(PlantedDefect):
     """Each other road user is lost for ``value`` seconds in every six, with a phase of its own."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

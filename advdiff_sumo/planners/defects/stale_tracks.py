@@ -13,7 +13,7 @@ from advdiff_sumo.core.frames import unit, wrap_angle
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.core.seeds import SeedTree
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.planners.defects.planted_fault import PlantedFault, others_mask, with_states
+from advdiff_sumo.planners.defects.planted_defect import PlantedDefect, others_mask, with_states
 
 _SLACK_S = 1e-6
 
@@ -31,7 +31,7 @@ class _Past:
     signals: tuple[tuple[float, Mapping[str, str]], ...] = ()
 
 
-class Late(PlantedFault):
+class Late(PlantedDefect):
     """The others and the signals are seen as they were ``value`` seconds ago; later arrivals are not seen."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:
@@ -54,7 +54,7 @@ class Late(PlantedFault):
         return late.without(rows & ~is_seen[:, -1]), past
 
 
-class ConstantVelocity(PlantedFault):
+class ConstantVelocity(PlantedDefect):
     """The others seem to have kept their velocity of ``value`` seconds ago since then."""
 
     def perceive(self, road: RoadMap, scene: Scene, memory: Any, seed: SeedTree) -> tuple[Scene, Any]:

@@ -16,7 +16,7 @@ from advdiff_sumo.traffic.manoeuvres.hidden_stop import hard_stop_in_company
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
-from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.plan_breaches import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import with_braking, with_severity
 from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView

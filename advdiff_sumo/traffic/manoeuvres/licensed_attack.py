@@ -18,16 +18,16 @@ from advdiff_sumo.traffic.licence import (
     licence_of,
 )
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
-from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import planned_motions
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
-from advdiff_sumo.traffic.manoeuvres.plan_licence import CARELESS_ALLOWS, plan_breaches
+from advdiff_sumo.traffic.manoeuvres.plan_breaches import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, needed_braking
 from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import Newcomer
 from advdiff_sumo.traffic.manoeuvres.target_lane_change import blocks_lane_change
+from advdiff_sumo.traffic.manoeuvres.waiting_for_target import waiting_lines_m
 from advdiff_sumo.traffic.planning.futures import Futures
 
 if TYPE_CHECKING:

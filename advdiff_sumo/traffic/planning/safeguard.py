@@ -9,7 +9,7 @@ In order of execution:
 3. All vehicles are slowed to their share of the speed limit (``speed_bound``).
 4. A standing vehicle that plans hardly any motion stands exactly still. One that has stood for its whole history and
    plans to depart later departs now.
-5. A follower of the target keeps a gap in which it can stop (``following_gap``).
+5. A follower of the target keeps a gap in which it can stop (``keep_back``).
 6. Plans are braked (``braking``) before collisions, red lights, and the target's right of way. A vehicle that left
    the road without a lane to follow, or is too fast to follow it, brakes to a stop.
 7. If braking cannot prevent a collision, a vehicle continues its previous plan, or else follows its lane, if fewer
@@ -30,8 +30,8 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.signal_letters import RED, YELLOW
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.planning.braking import LADDER_MPS2, SIDE_M, Braked, brake, brake_ahead
-from advdiff_sumo.traffic.planning.following_gap import keep_back
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures, stand_still
+from advdiff_sumo.traffic.planning.keep_back import keep_back
 from advdiff_sumo.traffic.planning.lane_following import follow
 from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead
 from advdiff_sumo.traffic.planning.people import PEOPLE_SIDE_M

@@ -17,7 +17,7 @@ from small_maps import MapBuilder, two_lane_road
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.core.map_files import MAX_FILE_BYTES
 from advdiff_sumo.maps.convert import convert_map
-from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.sources.nuscenes_map import read_nuscenes_map
 from advdiff_sumo.maps.convert.sources.scenarionet_map import read_record_map
 from advdiff_sumo.maps.convert.sources.source_map import StatedSizes
 from advdiff_sumo.sim.source_maps import read_source

@@ -18,7 +18,7 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 
 from advdiff_sumo.cli.main import main
 from advdiff_sumo.core.errors import MapError
-from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.sources.nuscenes_map import read_nuscenes_map
 
 WRONG: tuple[Any, ...] = (
     None,

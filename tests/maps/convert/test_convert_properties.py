@@ -17,8 +17,8 @@ from small_maps import WIDTH_M, MapBuilder, Pose, step
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
-from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
 from advdiff_sumo.maps.convert.sources.arcline import sample_path
+from advdiff_sumo.maps.convert.written_net import WrittenNet, read_net
 from tests.example_counts import examples
 
 MEDIAN_M, LARGEST_M = 0.02, 0.20

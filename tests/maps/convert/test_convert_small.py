@@ -16,11 +16,11 @@ from small_maps import MapBuilder, crossroads, two_lane_road
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure, statistics_of
-from advdiff_sumo.maps.convert.netread import read_net
 from advdiff_sumo.maps.convert.poses import compare_poses
 from advdiff_sumo.maps.convert.repair import repair
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.maps.convert.sources.source_map import Signal
+from advdiff_sumo.maps.convert.written_net import read_net
 
 
 def converted(road: MapBuilder, folder: Path, **options: bool) -> ConversionResult:

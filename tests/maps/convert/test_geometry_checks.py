@@ -12,7 +12,7 @@ from small_maps import MapBuilder, two_lane_road
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert import ConversionResult, convert_map
 from advdiff_sumo.maps.convert.fidelity import measure
-from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
+from advdiff_sumo.maps.convert.sources.nuscenes_map import read_nuscenes_map
 
 
 def convert(road: MapBuilder, folder: Path) -> ConversionResult:

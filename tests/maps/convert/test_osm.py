@@ -23,9 +23,9 @@ from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
 from advdiff_sumo.maps.convert.fidelity import measure
-from advdiff_sumo.maps.convert.netread import read_net
 from advdiff_sumo.maps.convert.projection import projection_of
 from advdiff_sumo.maps.convert.sources.read_map import read_map
+from advdiff_sumo.maps.convert.written_net import read_net
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 from advdiff_sumo.sim.driving_test import driving_test
 from advdiff_sumo.sim.session import Session, SessionOptions

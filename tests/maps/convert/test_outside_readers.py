@@ -17,7 +17,7 @@ from defusedxml import ElementTree
 from small_maps import crossroads, two_lane_road
 
 from advdiff_sumo.maps.convert import ConversionResult, convert_map, polyline
-from advdiff_sumo.maps.convert.netread import WrittenNet, read_net
+from advdiff_sumo.maps.convert.written_net import WrittenNet, read_net
 from tests.hang_guard import HANG_S
 
 ROUND_TRIP_M = 0.02

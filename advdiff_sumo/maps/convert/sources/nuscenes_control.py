@@ -5,7 +5,7 @@ from __future__ import annotations
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from advdiff_sumo.maps.convert.sources.map_tables import MapTables, Row
+from advdiff_sumo.maps.convert.sources.nuscenes_tables import MapTables, Row
 from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp, Signal, StopLine
 
 ARROWS = {

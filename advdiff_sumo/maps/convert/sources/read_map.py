@@ -10,7 +10,7 @@ from advdiff_sumo.maps.convert.sources.argoverse2_map import argoverse2_map
 from advdiff_sumo.maps.convert.sources.commonroad_map import commonroad_map
 from advdiff_sumo.maps.convert.sources.lanelet2_map import lanelet2_map
 from advdiff_sumo.maps.convert.sources.nuplan_map import nuplan_map
-from advdiff_sumo.maps.convert.sources.nuscenes_json import nuscenes_map
+from advdiff_sumo.maps.convert.sources.nuscenes_map import nuscenes_map
 from advdiff_sumo.maps.convert.sources.opendrive_map import opendrive_map
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.metrics.contact import standing_overlaps, target_contact
-from advdiff_sumo.metrics.continuous_collision import Sweep, first_contact
+from advdiff_sumo.metrics.continuous_collision import BoxMotion, first_contact
+from advdiff_sumo.metrics.target_contact import standing_overlaps, target_contact
 
 SIZE = np.array([[4.0, 2.0], [4.0, 2.0]])
 
@@ -112,8 +112,8 @@ def boxes(poses, sizes, fraction, steps):
 @given(st.tuples(pose, pose), st.tuples(step, step), st.tuples(size, size))
 def test_agrees_with_fine_sampling_and_shapely(poses, steps, sizes) -> None:
     start, move = np.array(poses), np.array(steps)
-    sweep = Sweep(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * np.array(sizes))
-    found = first_contact(sweep.rows(np.array([0])), sweep.rows(np.array([1])))[0]
+    motion = BoxMotion(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * np.array(sizes))
+    found = first_contact(motion.rows(np.array([0])), motion.rows(np.array([1])))[0]
     until = 1.0 if np.isnan(found) else float(found)
     for fraction in np.arange(0.0, until, 1.0 / 60.0):
         # a touch shorter than a thousandth of the step may be missed: less than a centimetre deep
@@ -128,13 +128,13 @@ def test_agrees_with_fine_sampling_and_shapely(poses, steps, sizes) -> None:
 @given(st.tuples(pose, pose), st.tuples(step, step), st.tuples(size, size), pose)
 def test_symmetric_and_unmoved_by_rigid_motions(poses, steps, sizes, motion) -> None:
     start, move = np.array(poses), np.array(steps)
-    both = Sweep(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * np.array(sizes))
+    both = BoxMotion(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * np.array(sizes))
     a, b = both.rows(np.array([0])), both.rows(np.array([1]))
     there = first_contact(a, b)
     np.testing.assert_allclose(first_contact(b, a), there, atol=2e-3)
     x, y, turn = motion
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    moved = Sweep(
+    moved = BoxMotion(
         both.xy_m @ rotation.T + (x, y),
         both.yaw_rad + turn,
         both.move_m @ rotation.T,
@@ -154,8 +154,8 @@ def test_symmetric_and_unmoved_by_rigid_motions(poses, steps, sizes, motion) -> 
 @given(st.tuples(pose, pose), st.tuples(step, step), st.tuples(size, size))
 def test_the_quick_reject_never_hides_a_contact(poses, steps, sizes) -> None:
     start, move, box = np.array(poses), np.array(steps), np.array(sizes)
-    sweep = Sweep(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * box)
-    slow = first_contact(sweep.rows(np.array([0])), sweep.rows(np.array([1])))[0]
+    motion = BoxMotion(start[:, :2], start[:, 2], move[:, :2], move[:, 2], 0.5 * box)
+    slow = first_contact(motion.rows(np.array([0])), motion.rows(np.array([1])))[0]
     end = start + move
     quick = target_contact(start[:, :2], start[:, 2], end[:, :2], end[:, 2], box, 0)
     assert (quick is None) == bool(np.isnan(slow))

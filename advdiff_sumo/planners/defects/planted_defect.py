@@ -16,7 +16,7 @@ from advdiff_sumo.maps import RoadMap
 
 
 @dataclass(frozen=True)
-class PlantedFault:
+class PlantedDefect:
     """One planted fault. It keeps no state between calls: its memories are passed in and returned.
 
     Attributes:

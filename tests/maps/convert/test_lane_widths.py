@@ -10,8 +10,8 @@ import shapely
 from small_maps import MapBuilder
 
 from advdiff_sumo.maps.convert import convert_map
-from advdiff_sumo.maps.convert.sources.nuscenes_json import read_nuscenes_map
-from advdiff_sumo.maps.convert.widths import width_between, width_profile
+from advdiff_sumo.maps.convert.lane_widths import width_between, width_profile
+from advdiff_sumo.maps.convert.sources.nuscenes_map import read_nuscenes_map
 
 LINE_M = np.array([[0.0, 0.0], [40.0, 0.0]])
 

@@ -15,8 +15,8 @@ from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.core.map_files import load_json
 from advdiff_sumo.maps.convert.sources.arcline import sample_path
 from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
-from advdiff_sumo.maps.convert.sources.map_tables import MapTables, Row, finite
 from advdiff_sumo.maps.convert.sources.nuscenes_control import signals_of, stop_lines_of
+from advdiff_sumo.maps.convert.sources.nuscenes_tables import MapTables, Row, finite
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
 
 OLDEST = (1, 3)  # version

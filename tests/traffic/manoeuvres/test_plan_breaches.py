@@ -7,7 +7,7 @@ import numpy as np
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches import BreachKind
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_manoeuvres
-from advdiff_sumo.traffic.manoeuvres.plan_licence import plan_breaches
+from advdiff_sumo.traffic.manoeuvres.plan_breaches import plan_breaches
 from advdiff_sumo.traffic.manoeuvres.repertoire import KINDS
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile

@@ -7,8 +7,8 @@ import pytest
 
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
 from advdiff_sumo.traffic.planning.braking import LADDER_MPS2
-from advdiff_sumo.traffic.planning.following_gap import keep_back
 from advdiff_sumo.traffic.planning.futures import Futures, constant_velocity_futures
+from advdiff_sumo.traffic.planning.keep_back import keep_back
 
 T, DT, LENGTH_M = 12, 0.5, 4.5
 FOLLOWER = np.array([False, True])

@@ -11,7 +11,7 @@ import shapely
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps, corners
-from advdiff_sumo.metrics.continuous_collision import TOUCH_M, Sweep, first_contact, gaps_at
+from advdiff_sumo.metrics.continuous_collision import TOUCH_M, BoxMotion, first_contact, gaps_at
 
 #: Faster motion between two instants is a jump (an insertion, a teleport), in which no contact is searched.
 JUMP_MPS = 100.0
@@ -81,17 +81,17 @@ def target_contact(
     rows = near_rows[[not _are_separate(own, other) for other in others]]
     if not rows.size:
         return None
-    sweep = Sweep.between(xy0_m, yaw0_rad, xy1_m, yaw1_rad, size_m)
-    target = sweep.rows(np.full(rows.size, target_row))
-    fractions = first_contact(target, sweep.rows(rows))
+    motion = BoxMotion.between(xy0_m, yaw0_rad, xy1_m, yaw1_rad, size_m)
+    target = motion.rows(np.full(rows.size, target_row))
+    fractions = first_contact(target, motion.rows(rows))
     if np.isnan(fractions).all():
         return None
     first = int(np.nanargmin(fractions))
-    pair = target.rows(np.array([first])), sweep.rows(rows[[first]])
+    pair = target.rows(np.array([first])), motion.rows(rows[[first]])
     return contact_of(*pair, float(fractions[first]), int(rows[first]))
 
 
-def contact_of(a: Sweep, b: Sweep, fraction: float, row: int) -> Contact:
+def contact_of(a: BoxMotion, b: BoxMotion, fraction: float, row: int) -> Contact:
     """Return the contact of the single pair a, b (K = 1) that first touches at *fraction*; *row* is that of b."""
     return Contact(row, fraction, _touch_point(a, b, fraction), _depth(a, b, fraction))
 
@@ -186,13 +186,13 @@ def _are_separate(a: _Scalars, b: _Scalars) -> bool:
     return False
 
 
-def _touch_point(a: Sweep, b: Sweep, fraction: float) -> FloatArray:
+def _touch_point(a: BoxMotion, b: BoxMotion, fraction: float) -> FloatArray:
     region = shapely.intersection(_grown_box(a, fraction), _grown_box(b, fraction))
     point = region.centroid
     return np.array((point.x, point.y))
 
 
-def _depth(a: Sweep, b: Sweep, fraction: float) -> float:
+def _depth(a: BoxMotion, b: BoxMotion, fraction: float) -> float:
     """Return the deepest overlap in m from *fraction* to the end of the step."""
     share = np.linspace(fraction, 1.0, _DEPTH_SAMPLES)
     rows = np.zeros(_DEPTH_SAMPLES, dtype=np.int64)
@@ -201,5 +201,5 @@ def _depth(a: Sweep, b: Sweep, fraction: float) -> float:
     return float(max(0.0, -gaps.max(-1).min()))
 
 
-def _grown_box(box: Sweep, fraction: float) -> shapely.Polygon:
+def _grown_box(box: BoxMotion, fraction: float) -> shapely.Polygon:
     return shapely.Polygon(corners(*box.pose(fraction), 2.0 * (box.half_m + _TOUCH_MARGIN_M))[0])

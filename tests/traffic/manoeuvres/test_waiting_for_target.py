@@ -11,8 +11,8 @@ import pytest
 
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
-from advdiff_sumo.traffic.manoeuvres.giving_way import waiting_lines_m
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.waiting_for_target import waiting_lines_m
 from advdiff_sumo.traffic.planning.futures import constant_velocity_futures
 from tests.sim import nets
 from tests.traffic.manoeuvres.scenes import LENGTH_M, scene_on

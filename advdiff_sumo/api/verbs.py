@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from multiprocessing import current_process
 from pathlib import Path
@@ -100,6 +100,7 @@ def _with_options(planner: Planner, options: Mapping[str, Any], name: str) -> Pl
 def sweep(
     spec: str | Path | Mapping[str, Any],
     *,
+    targets: Sequence[str] = (),
     out: str | Path | None = None,
     workers: int | None = None,
     progress: bool = True,
@@ -110,6 +111,7 @@ def sweep(
 
     Args:
         spec: a sweep file, or its content as a mapping.
+        targets: names of targets in place of those in *spec*, with default options; (): those in *spec*.
         out: a new folder for the results; by default one in ``runs``.
         workers: number of processes; by default one per core.
         progress: whether to show the progress.
@@ -130,7 +132,7 @@ def sweep(
             'call it below if __name__ == "__main__":'
         )
     sweep_spec = SweepSpec.of(spec, "ads.sweep") if isinstance(spec, Mapping) else SweepSpec.read(Path(spec))
-    plan = plan_sweep(sweep_spec, places=True)
+    plan = plan_sweep(sweep_spec.with_targets(targets) if targets else sweep_spec, places=True)
     name = "sweep" if isinstance(spec, Mapping) else Path(spec).stem
     worker_count = workers or cores()
     with ExitStack() as stack:

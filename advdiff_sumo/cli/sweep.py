@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.core.wording import counted
 
 if TYPE_CHECKING:
+    from advdiff_sumo.sweep.condition import Condition
     from advdiff_sumo.sweep.executors import Executor
     from advdiff_sumo.sweep.job_plan import SweepPlan
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs
@@ -31,6 +33,7 @@ _DRY_RUN_INTERRUPTED = "interrupted; a dry run keeps nothing"
 
 def sweep(
     file: flags.File = None,
+    target: flags.Target = None,
     workers: worker.Workers = None,
     executor: flags.Executor = flags.ExecutorName.process,
     ray_address: flags.RayAddress = None,
@@ -52,15 +55,13 @@ def sweep(
 ) -> None:
     """Run many episodes in parallel: nets × seed scenes × targets × backgrounds × seeds.
 
-    advdiff-sumo sweep scenarios/sweeps/planners.toml --workers 8
+    advdiff-sumo sweep scenarios/sweeps/thorough.toml --target my_planner:MyPlanner --workers 8
 
     A worker that crashes, hangs or eats memory loses one episode, which is recorded as failed. Ctrl-C, a kill or
     a power cut lose the episodes in flight: advdiff-sumo sweep --resume DIR runs what is missing.
     """
     one_thread_for_good()
-    from advdiff_sumo.cli.summary import run_object  # late: --help needs no simulator
-    from advdiff_sumo.cli.sweep_results import check_junit, conclude, condition_of
-    from advdiff_sumo.experiments.folder_rows import rows_of_sweep
+    from advdiff_sumo.cli.sweep_results import check_junit, condition_of  # late: --help needs no simulator
     from advdiff_sumo.sweep.sweep_runner import RemainingJobs, open_store
 
     worker.end_as_by_ctrl_c()
@@ -71,7 +72,7 @@ def sweep(
     with ExitStack() as stack:
         if dry_run:
             stack.enter_context(explains_how_to_continue(lambda: None, _DRY_RUN_INTERRUPTED))
-        plan = _plan(console, file, resumed, diverse)
+        plan = _plan(console, file, resumed, diverse, target or [])
         limits = worker.limits_of(stack, timeout, plan_timeout, memory)
         if dry_run:
             jobs = RemainingJobs.of(plan, resumed, limit, retry_failed)
@@ -86,9 +87,7 @@ def sweep(
         remaining = RemainingJobs.of(plan, store, limit, retry_failed)
         missing = _run_episodes(console, plan, store, remaining, task_executor, retries)
     _report(console, store.path, report, remaining.done < remaining.total)
-    if as_json:
-        print_json({**run_object(store.path), "missing": missing})
-    conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
+    _conclude(console, store, plan, missing, condition, junit, as_json)
 
 
 def _resumed_store(resume: Path | None, out: Path | None, dry_run: bool) -> Store | None:
@@ -130,6 +129,25 @@ def _report(console: Console, folder: Path, is_wanted: bool, has_new_episodes: b
         note_old_report(console, folder)
 
 
+def _conclude(
+    console: Console,
+    store: Store,
+    plan: SweepPlan,
+    missing: int,
+    condition: Condition | None,
+    junit: Path | None,
+    as_json: bool,
+) -> None:
+    """Print the results and, with *as_json*, the object of the sweep; exit with code 1 if *condition* holds."""
+    from advdiff_sumo.cli.summary import run_object
+    from advdiff_sumo.cli.sweep_results import conclude
+    from advdiff_sumo.experiments.folder_rows import rows_of_sweep
+
+    if as_json:
+        print_json({**run_object(store.path), "missing": missing})
+    conclude(console, rows_of_sweep(store, plan, missing), condition, junit)
+
+
 def _draw_report(console: Console, folder: Path) -> None:
     """Write the report; if it cannot be written, print why, since the results of the sweep are complete anyway."""
     from advdiff_sumo.report.page import write_report
@@ -140,11 +158,11 @@ def _draw_report(console: Console, folder: Path) -> None:
         console.print(f"no report: {error}", style="red", soft_wrap=True)
 
 
-def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
+def _spec(file: Path | None, store: Store | None, diverse: bool, targets: Sequence[str]) -> Any:
     """Return the specification of the sweep, from its file or from the sweep to resume.
 
     Raises:
-        ConfigError: there is neither, or ``--diverse`` or the file contradicts the sweep to resume.
+        ConfigError: there is neither, or ``--diverse``, ``--target`` or the file contradicts the sweep to resume.
     """
     from advdiff_sumo.sweep.spec import SweepSpec
     from advdiff_sumo.sweep.sweep_store import must_equal
@@ -154,9 +172,15 @@ def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
         raise ConfigError("no sweep file was given; scenarios/sweeps/quick.toml is a small one")
     if stored is not None and diverse and not stored.diverse:
         raise ConfigError("that sweep was begun without --diverse; leave it out, or choose a new --out")
+    if file is None and targets:
+        raise ConfigError(
+            "that sweep has its targets; leave --target out, or give the sweep file and a new --out"
+        )
     if file is None:
         return stored
     spec = SweepSpec.read(file)
+    if targets:
+        spec = spec.with_targets(targets)
     if diverse or (stored is not None and stored.diverse):
         spec = spec.model_copy(update={"diverse": True})
     if store is not None and stored is not None:
@@ -164,12 +188,14 @@ def _spec(file: Path | None, store: Store | None, diverse: bool) -> Any:
     return spec
 
 
-def _plan(console: Console, file: Path | None, resumed: Store | None, diverse: bool) -> SweepPlan:
+def _plan(
+    console: Console, file: Path | None, resumed: Store | None, diverse: bool, targets: Sequence[str]
+) -> SweepPlan:
     """Return the plan of all episodes, and print notes, such as which parts of logs are left out."""
     from advdiff_sumo.cli.run import print_notes
     from advdiff_sumo.sweep.job_plan import plan_sweep, sweep_notes
 
-    spec = _spec(file, resumed, diverse)
+    spec = _spec(file, resumed, diverse, targets)
     try:
         plan = plan_sweep(spec, places=True)
     except (ConfigError, UnknownNameError) as error:

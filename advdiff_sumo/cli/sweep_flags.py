@@ -20,6 +20,13 @@ class ExecutorName(StrEnum):
 File: TypeAlias = Annotated[
     Path | None, typer.Argument(help="Sweep file; may be left out with --resume.", show_default=False)
 ]
+Target: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Target in place of those in the file, with default options; may be given several times.",
+        show_default="those in the file",
+    ),
+]
 Executor: TypeAlias = Annotated[
     ExecutorName, typer.Option(help="This process (to debug), processes, or a Ray cluster.")
 ]

@@ -157,6 +157,20 @@ class SweepSpec(Options):
             raise ConfigError(f"{where}: asks for no episode; add a [grid] or [[cases]]")
         return spec._absolute()
 
+    def with_targets(self, names: Sequence[str]) -> SweepSpec:
+        """Return the same sweep of the targets *names*, with default options, in place of those that it names."""
+        grid = self.grid
+        if grid is not None:
+            grid = grid.model_copy(
+                update={"targets": tuple(Choice(name=name) for name in dict.fromkeys(names))}
+            )
+        cases: list[Case] = []
+        for case, name in product(self.cases, dict.fromkeys(names)):
+            of_target = case.model_copy(update={"target": name, "target_options": {}})
+            if of_target not in cases:  # else two cases differ in their targets only
+                cases.append(of_target)
+        return self.model_copy(update={"grid": grid, "cases": tuple(cases)})
+
     def _absolute(self) -> SweepSpec:
         """Return the same spec with full paths, so that it does not depend on the working folder."""
         grid = self.grid

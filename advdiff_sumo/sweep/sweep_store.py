@@ -290,5 +290,5 @@ def must_equal(path: Path, stored: SweepSpec, requested: SweepSpec) -> None:
         if stored_values[key] != requested_values[key]:
             raise ConfigError(
                 f"{path}: belongs to another sweep: its {key} differ from those of the file; "
-                "give the file that it was begun with, or choose a new --out"
+                "give the file, and the --target, that it was begun with, or choose a new --out"
             )

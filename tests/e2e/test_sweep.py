@@ -145,6 +145,29 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 
 
+def test_a_target_of_ones_own_in_place_of_those_in_the_file(
+    sweeps: Path, here: Callable[..., Outcome], refused: Callable[..., str]
+) -> None:
+    (sweeps / "mine.py").write_text(
+        "from advdiff_sumo.planners.lane_graph import LaneGraphPlanner\n\n\nclass Mine(LaneGraphPlanner):\n    pass\n"
+    )
+    words = ("sweep", "small.toml", "--target", "mine:Mine", "--target", "IDM")
+    more = ("--executor", "serial", "--no-report")
+    first = here(*words, "--limit", "4", "--out", "own", *more)
+    assert first.code == 0, first.err
+    again = here(*words, "--resume", "own", *more)
+    assert again.code == 0, again.err
+    rows = pq.read_table(sweeps / "own" / "episodes.parquet", columns=["target", "number"]).to_pylist()
+    assert [(row["target"], row["number"]) for row in rows] == [
+        *((name, number) for name in ("mine:Mine", "IDM") for number in range(3)),
+    ]
+    assert "that sweep has its targets" in refused("sweep", "--resume", "own", "--target", "IDM")
+    assert "give the file, and the --target, that it was begun with" in refused(
+        "sweep", "small.toml", "--resume", "own", "--target", "IDM"
+    )
+    assert "did you mean 'careful'" in refused("sweep", "small.toml", "--target", "carefull")
+
+
 def test_results_by_situation(
     sweeps: Path, here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:

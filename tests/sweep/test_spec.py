@@ -55,6 +55,23 @@ def test_a_case_may_have_scenes_of_its_own() -> None:
     assert {one.scene.density_per_km, other.scene.density_per_km} == {9.0}
 
 
+def test_other_targets_take_the_place_of_those_named() -> None:
+    """Each once, with default options; cases that differ in their targets only become one."""
+    grid = {"targets": [{"name": "W99", "vary": {"tau": [1.0, 2.0]}}, "IDM"], "backgrounds": ["sumo"]}
+    cases = [
+        {"target": "ACC", "target_options": {"tau": 1.5}},
+        {"target": "IDM"},
+        {"target": "IDM", "seed": 4},
+    ]
+    spec = SweepSpec.of({"grid": grid, "cases": cases}, "x").with_targets(["careful", "Krauss", "careful"])
+    assert [(cell.target, cell.target_options, cell.seed) for cell in spec.cells()] == [
+        *(("careful", {}, 0), ("Krauss", {}, 0)),
+        *(("careful", {}, 0), ("Krauss", {}, 0)),
+        *(("careful", {}, 4), ("Krauss", {}, 4)),
+    ]
+    assert SweepSpec.of({"cases": cases}, "x").with_targets(["Krauss"]).grid is None
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -195,6 +195,11 @@ def line_length_m(xy_m: FloatArray) -> float:
     return float(np.hypot(*np.diff(xy_m, axis=0).T).sum())
 
 
+def distances_m(xy_m: FloatArray, other_xy_m: FloatArray) -> FloatArray:
+    """Return the distances (P, Q) of the points (P, 2) from the points (Q, 2)."""
+    return np.asarray(np.hypot(*(xy_m[:, None] - other_xy_m[None]).transpose(2, 0, 1)))
+
+
 def without_repeats(xy_m: FloatArray) -> FloatArray:
     """Return the points (N, 2) without those that repeat the previous one."""
     return xy_m[kept_points(xy_m)]

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from advdiff_sumo.core.polylines import Polyline, concatenate
+from advdiff_sumo.core.polylines import Polyline, concatenate, distances_m
 
 CORNER = Polyline.of(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]]))
 
@@ -26,6 +26,11 @@ def test_projection():
     s, d = CORNER.project(np.array([[4.0, 1.0], [4.0, -2.0], [9.0, 3.0], [13.0, -4.0], [10.0, 8.0]]))
     np.testing.assert_allclose(s, [4.0, 4.0, 13.0, 10.0, 15.0])
     np.testing.assert_allclose(d, [1.0, -2.0, 1.0, -5.0, 3.0])
+
+
+def test_distances_of_each_point_from_each_other():
+    origin_and_east = np.array([[0.0, 0.0], [3.0, 0.0]])
+    np.testing.assert_allclose(distances_m(origin_and_east, np.array([[0.0, 4.0]])), [[4.0], [5.0]])
 
 
 def test_ends():

@@ -6,8 +6,9 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
 from advdiff_sumo.core.frames import unit
-from advdiff_sumo.core.polylines import Polyline, concatenate
+from advdiff_sumo.core.polylines import distances_m
 from advdiff_sumo.maps import Link
+from advdiff_sumo.maps.link_points import points_over
 from advdiff_sumo.planners.lane_graph.path import Geometry, Zone
 
 _CONFLICT_DISTANCE_M = 2.6  # between the centre lines
@@ -56,14 +57,9 @@ def _front_line(geometry: Geometry, link: Link) -> FloatArray:
 
 def _are_near(own_xy_m: FloatArray, other_xy_m: FloatArray) -> BoolArray:
     """Return (P, Q) which of P and Q points are too near to each other."""
-    distances_m = np.hypot(*(own_xy_m[:, None] - other_xy_m[None]).transpose(2, 0, 1))
-    return np.asarray(distances_m < _CONFLICT_DISTANCE_M)
+    return np.asarray(distances_m(own_xy_m, other_xy_m) < _CONFLICT_DISTANCE_M)
 
 
 def _centre_line(geometry: Geometry, link: Link) -> FloatArray:
     """Return points (P, 2) of the centre line over *link*, ``_STEP_M`` apart from the stop line on."""
-    lanes = geometry.road.lanes
-    line = concatenate([lanes[lane].line for lane in (*link.via, link.to_lane)])
-    junction_m = sum(lanes[lane].length_m for lane in link.via)
-    length_m = min(junction_m + _BEYOND_M, line.length_m)
-    return Polyline.at(line, np.arange(0.0, max(length_m, 1.0), _STEP_M))[0]
+    return points_over(geometry.road, link, _BEYOND_M, _STEP_M, least_m=1.0)

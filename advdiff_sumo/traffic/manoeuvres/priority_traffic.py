@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.core.polylines import concatenate
+from advdiff_sumo.core.polylines import distances_m
 from advdiff_sumo.core.signal_letters import PROTECTED_GREEN
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.junction_priority import come_head_on, priority_links
 from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.maps.link_points import points_over
 from advdiff_sumo.traffic.manoeuvres.free_speed import bend_mps
 from advdiff_sumo.traffic.manoeuvres.intensity import MOST_EARLY_S
 from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S, TargetWay
@@ -150,21 +150,14 @@ def _waits_beyond_line_m(view: SituationView, link: Link, other: Link, conflict_
 @lru_cache(maxsize=4096)
 def conflict_points_m(road: RoadMap, link: Link, other: Link) -> tuple[float, float] | None:
     """Return how far beyond each stop line the centres of two vehicles meet; None if they stay apart."""
-    own_xy, other_xy = _points_over(road, link), _points_over(road, other)
-    distances = np.hypot(*(own_xy[:, None] - other_xy[None]).transpose(2, 0, 1))
+    own_xy, other_xy = (points_over(road, x, _BEYOND_M, _SPACING_M) for x in (link, other))
+    distances = distances_m(own_xy, other_xy)
     is_conflict = distances.min(axis=1) < _CONFLICT_M
     if not is_conflict.any():
         return None
     rows = np.flatnonzero(is_conflict)
     row = rows[0] if link.to_lane == other.to_lane else rows[len(rows) // 2]
     return _SPACING_M * float(row), _SPACING_M * float(distances[row].argmin())
-
-
-def _points_over(road: RoadMap, link: Link) -> FloatArray:
-    """Return (P, 2) points every half metre from the stop line to a little beyond the junction."""
-    line = concatenate([road.lanes[name].line for name in (*link.via, link.to_lane)])
-    inside_m = sum(road.lanes[name].length_m for name in link.via)
-    return line.at(np.arange(0.0, min(inside_m + _BEYOND_M, line.length_m), _SPACING_M))[0]
 
 
 def turn_speed_mps(road: RoadMap, link: Link) -> float:

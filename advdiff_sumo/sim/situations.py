@@ -25,20 +25,31 @@ SHORT_LIVED_S: Mapping[Situation, float] = {"yellow": 0.5}
 
 
 @dataclass(frozen=True)
+class SignalChange:
+    """The next change of a traffic light.
+
+    Attributes:
+        state: state after it, a letter for each link.
+        in_s: time until it.
+        lasts_s: duration of the state after it.
+    """
+
+    state: str
+    in_s: float
+    lasts_s: float
+
+
+@dataclass(frozen=True)
 class Signals:
     """The traffic lights at an instant.
 
     Attributes:
         states: traffic light → its state, a letter for each link.
-        next_states: traffic light → its state after the next change.
-        change_s: traffic light → time until that change.
-        next_lasts_s: traffic light → duration of the state after it.
+        changes: traffic light → its next change.
     """
 
     states: Mapping[str, str]
-    next_states: Mapping[str, str]
-    change_s: Mapping[str, float]
-    next_lasts_s: Mapping[str, float]
+    changes: Mapping[str, SignalChange]
 
 
 def in_situation(
@@ -133,13 +144,15 @@ def _red_light(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  #
 
 def _yellow(road: RoadMap, approach: _Approach, signals: Signals) -> bool:  # noqa: ARG001 - one signature for all tests
     link, speed_mps = approach.link, approach.speed_mps
-    is_ending = link.signal(signals.states) in GREEN and link.signal(signals.next_states) in YELLOW
-    if not approach.is_first or not is_ending or link.tls_id is None or speed_mps <= 0.0:
+    light = link.tls_id or ""
+    change = signals.changes.get(light)
+    if change is None or not approach.is_first or speed_mps <= 0.0:
         return False
-    change_s = signals.change_s[link.tls_id]
-    red_s = change_s + signals.next_lasts_s[link.tls_id]
+    if link.signal(signals.states) not in GREEN or link.signal({light: change.state}) not in YELLOW:
+        return False
+    red_s = change.in_s + change.lasts_s
     stops_within_m = _REACTION_S * speed_mps + speed_mps**2 / (2.0 * _COMFORTABLE_MPS2)
-    can_stop = approach.distance_m - change_s * speed_mps >= stops_within_m
+    can_stop = approach.distance_m - change.in_s * speed_mps >= stops_within_m
     return can_stop and red_s <= approach.distance_m / speed_mps <= red_s + _AFTER_YELLOW_S
 
 

@@ -14,7 +14,7 @@ from advdiff_sumo.core.arrays import IntArray
 from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.situations import Signals, in_situation
+from advdiff_sumo.sim.situations import SignalChange, Signals, in_situation
 from advdiff_sumo.sim.world import Frame, World
 
 _NEIGHBOUR_RADIUS_M = 50.0
@@ -135,33 +135,33 @@ class TargetChoice:
 
 
 def _signals(api: Any, with_changes: bool) -> Signals:
-    """Return the traffic lights of libsumo *api* now; those without phases, as of railways, have no next state.
+    """Return the traffic lights of libsumo *api* now; those without phases, as of railways, do not change.
 
     Args:
         api: libsumo.
-        with_changes: whether their next states are read, too.
+        with_changes: whether their next changes are read, too.
     """
     lights, now_s = api.trafficlight, float(api.simulation.getTime())
     names = lights.getIDList()
     changing = names if with_changes else ()
-    phases = {name: phase for name in changing if (phase := _next_phase(lights, name)) is not None}
     return Signals(
         states={name: lights.getRedYellowGreenState(name) for name in names},
-        next_states={name: phase.state for name, phase in phases.items()},
-        change_s={name: float(lights.getNextSwitch(name)) - now_s for name in phases},
-        next_lasts_s={name: float(phase.duration) for name, phase in phases.items()},
+        changes={
+            name: change for name in changing if (change := _next_change(lights, name, now_s)) is not None
+        },
     )
 
 
-def _next_phase(lights: Any, name: str) -> Any | None:
-    """Return the phase that follows the present one in the program of traffic light *name*; None without phases."""
+def _next_change(lights: Any, name: str, now_s: float) -> SignalChange | None:
+    """Return the change to the next phase in the program of traffic light *name*; None without phases."""
     program, present = lights.getProgram(name), lights.getPhase(name)
     logics = (logic for logic in lights.getAllProgramLogics(name) if logic.programID == program)
     phases = next((logic.phases for logic in logics), ())
     if present >= len(phases):
         return None
     following = phases[present].next
-    return phases[following[0] if following else (present + 1) % len(phases)]
+    phase = phases[following[0] if following else (present + 1) % len(phases)]
+    return SignalChange(phase.state, float(lights.getNextSwitch(name)) - now_s, float(phase.duration))
 
 
 def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:

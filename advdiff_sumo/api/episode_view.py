@@ -9,9 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.report.folder import FinishedRun
 
 if TYPE_CHECKING:
@@ -26,7 +23,6 @@ _REPR_COLUMNS = (
     "failure_kind",
     "failure_message",
 )
-_MOST_PANELS = 8
 
 
 @dataclass(frozen=True)
@@ -72,14 +68,9 @@ class EpisodeView:
             FileError: there are no states of the episode.
             ConfigError: the number of panels is out of range, or the time span is not in the episode.
         """
-        from advdiff_sumo.report.selection import ChosenEpisode
-        from advdiff_sumo.report.strip import STRIP_S, draw_strip
+        from advdiff_sumo.report.strip import strip_figure
 
-        if not 1 <= panels <= _MOST_PANELS:
-            raise ConfigError(f"panels={panels}: give a number from 1 to {_MOST_PANELS}")
-        chosen = ChosenEpisode.read(self.run.folder, self.number)
-        start, end = chosen.span_s(start_s, end_s, STRIP_S)
-        return draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start)
+        return strip_figure(self.run.folder, self.number, panels, start_s, end_s)
 
     def player(self) -> Player:
         """Return a player with synchronous charts."""

@@ -27,6 +27,7 @@ from advdiff_sumo.report.drawing import (
     save_figure,
 )
 from advdiff_sumo.report.layer import NetWindow
+from advdiff_sumo.report.panels import moments_of_panels
 from advdiff_sumo.report.scene_picture import Role
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
@@ -46,27 +47,38 @@ def film_strip(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> Path:
-    """Draw *panels* moments of an episode side by side to *path* (.svg or .png) and return *path*.
+    """Write :func:`strip_figure` to *path* (.svg or .png) and return *path*.
 
     The same run gives the same bytes.
+
+    Raises:
+        FileError: as there, or the ending is another, or *path* cannot be written.
+        ConfigError: as there.
+    """
+    check_ending(path, (".svg", ".png"))
+    save_figure(strip_figure(folder, episode, panels, start_s, end_s), path)
+    return path
+
+
+def strip_figure(
+    folder: Path, episode: int | None, panels: int, start_s: float | None, end_s: float | None
+) -> Figure:
+    """Return *panels* moments of an episode side by side.
 
     Args:
         folder: of a finished run or sweep.
         episode: its number; None for the worst.
-        path: the file to write.
         panels: number of moments, evenly spaced up to the last one.
         start_s: first moment; None for ``STRIP_S`` before the last.
         end_s: last moment; None for the contact, or 1 s after the least distance.
 
     Raises:
-        FileError: the folder lacks the episode, the ending is another, or *path* cannot be written.
-        ConfigError: the span is not in the episode.
+        FileError: the folder lacks the episode.
+        ConfigError: there are too many panels, or none, or the span is not in the episode.
     """
-    check_ending(path, (".svg", ".png"))
     chosen = ChosenEpisode.read(folder, episode)
     start, end = chosen.span_s(start_s, end_s, STRIP_S)
-    save_figure(draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start), path)
-    return path
+    return draw_strip(chosen, moments_of_panels(panels, start, end), start)
 
 
 def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:

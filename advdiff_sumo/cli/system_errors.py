@@ -7,20 +7,17 @@ import os
 import sys
 from collections.abc import Mapping
 
-from advdiff_sumo.core.errors import InputError, os_reason
+from advdiff_sumo.core.errors import InputError, is_disk_full, os_reason
 
 _RIGHTS = "choose another path, or ask for the rights to this one and its folder"
-_SPACE = "free some space, or choose another path"
 _REMEDIES: Mapping[int | None, str] = {
     errno.EACCES: _RIGHTS,
     errno.EPERM: _RIGHTS,
     errno.ENAMETOOLONG: "choose a shorter name",
-    errno.ENOSPC: _SPACE,
-    errno.EDQUOT: _SPACE,
     errno.EFBIG: "allow larger files (ulimit -f)",
     errno.EMFILE: "allow more open files (ulimit -n)",
 }
-"""Number of an error of the system → what to do."""
+"""Number of an error of the system → what to do; a full disk has a remedy of its own."""
 
 
 def checked_folder() -> str:
@@ -48,7 +45,8 @@ def checked_folder() -> str:
 
 def system_error(error: OSError) -> str | None:
     """Return what the system refused and what to do; None if *error* comes from a library, not from the system."""
-    remedy = _REMEDIES.get(error.errno)
+    space = "free some space, or choose another path" if is_disk_full(error) else None
+    remedy = _REMEDIES.get(error.errno, space)
     if error.filename is None and remedy is None:
         return None
     place = f"{error.filename}: " if error.filename is not None else ""

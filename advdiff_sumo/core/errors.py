@@ -26,6 +26,7 @@ AdvdiffError
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -156,6 +157,11 @@ class NotInsertedError(SimulationError):
 
 UNEXPLAINED_KINDS = frozenset({SimulationError.kind, "simulator_crashed", "worker_died", "error"})
 """Kinds of failure caused by SUMO, the machine or this package, not by a plug-in or by the user's input."""
+
+
+def is_disk_full(error: OSError) -> bool:
+    """Return whether *error* says that there is no more room for a file: on the disk, in a quota, or by its size."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def os_reason(error: OSError) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -14,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import ConfigError, FileError, InputError, os_reason
+from advdiff_sumo.core.errors import ConfigError, FileError, InputError, is_disk_full, os_reason
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.core.whole_file import arrow_path, whole_file
 from advdiff_sumo.core.worker_pool import futures_of
@@ -337,7 +336,5 @@ def _write_table(path: Path, rows: list[dict[str, Any]], columns: Mapping[str, C
                 pa.Table.from_pylist(rows, schema=schema), arrow_path(temporary), compression="zstd"
             )
     except OSError as error:
-        remedy = (
-            "free some space" if error.errno == errno.ENOSPC else "make its folder one that can be written to"
-        )
+        remedy = "free some space" if is_disk_full(error) else "make its folder one that can be written to"
         raise FileError(path, f"cannot be written ({os_reason(error)})", remedy) from None

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import FileError, os_reason
+from advdiff_sumo.core.errors import FileError, is_disk_full, os_reason
 from advdiff_sumo.core.whole_file import whole_file
 
 _NO_VERSIONS = {"inputs", "repeats"}  # entries beside versions in the table of versions
 _HEADER = b"advdiff-sumo 1 "
-_DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class DiskFullError(FileError):
@@ -64,7 +62,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def unwritable(path: Path, error: OSError) -> FileError:
     """Return the error for a file that cannot be written."""
-    if error.errno in _DISK_FULL:
+    if is_disk_full(error):
         return DiskFullError(path)
     return FileError(path, f"cannot be written ({os_reason(error)})", "choose another --out")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import time
 import traceback
@@ -14,7 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError
+from advdiff_sumo.core.errors import AdvdiffError, EpisodeFailure, NetError, SceneError, is_disk_full
 from advdiff_sumo.core.plug_in_source import lacks_memory, message_of
 from advdiff_sumo.core.process_end import hears_ctrl_c
 from advdiff_sumo.core.record import EpisodeRecord
@@ -66,7 +65,7 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
     except AdvdiffError as error:
         failed = Failed(_kind(error), str(error))
     except OSError as error:
-        kind = NO_ROOM if error.errno == errno.ENOSPC else "error"
+        kind = NO_ROOM if is_disk_full(error) else "error"
         failed = Failed(kind, f"{type(error).__name__}: {error}", traceback.format_exc())
     except BaseException as error:  # any fault of a plug-in is recorded and ends nothing
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from advdiff_sumo.cli import train_flags as flags
 from advdiff_sumo.cli.terminal import progress_bar, terminal
-from advdiff_sumo.core.errors import FileError, os_reason
+from advdiff_sumo.core.whole_file import check_writable
 
 _HEADS = {
     "ade_m": "ADE",
@@ -87,7 +86,7 @@ def judge_and_show(
     from advdiff_sumo.training.evaluation import evaluate_bundle, write_figures
 
     if out is not None:
-        _check_writable(out)
+        check_writable(out)
     with progress_bar(terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("windows judged", total=None)
         figures = evaluate_bundle(
@@ -100,18 +99,6 @@ def judge_and_show(
     terminal(width=max(terminal().width, _TABLE_WIDTH)).print(table(figures))
     if out is not None:
         write_figures(out, figures, judging, windows)
-
-
-def _check_writable(out: Path) -> None:
-    """Raise FileError if *out* is a folder, or its folder cannot be used or written into."""
-    if out.is_dir():
-        raise FileError(out, "is a folder", "name a file in --out, such as figures.json in it")
-    try:
-        os.scandir(out.parent).close()
-    except OSError as error:
-        raise FileError(out, f"cannot be written ({os_reason(error)})", "choose another --out") from None
-    if not os.access(out.parent, os.W_OK):
-        raise FileError(out, "cannot be written (its folder is read-only)", "choose another --out")
 
 
 def table(figures: dict[str, Figures]) -> Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +15,7 @@ from advdiff_sumo.cli.terminal import progress_bar, terminal
 from advdiff_sumo.cli.worker_flags import Timeout, end_as_by_ctrl_c, limits_of
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.threads import one_thread_for_good
+from advdiff_sumo.core.whole_file import check_writable
 
 if TYPE_CHECKING:
     from advdiff_sumo.sim.run_episodes import RunOptions
@@ -62,7 +62,7 @@ def warmup(
     one_thread_for_good()
     from advdiff_sumo.cli.run import options_given
 
-    _check_writable(out)
+    _check_out(out)
     policy: dict[str, Any] = {"licence": licence, "strength": strength, "attackers": attackers}
     policy |= {"attack": attack, "weights": flags.weights_of(weights), "device": device}
     background = background or ("diffusion" if licence == "reckless" else "scripted")
@@ -72,21 +72,13 @@ def warmup(
         terminal().print(line, soft_wrap=True)
 
 
-def _check_writable(out: Path) -> None:
-    """Check that the file *out* can be written, before the warm-up, which takes minutes.
-
-    Raises:
-        ConfigError: its name does not end in ``.safetensors``.
-        FileError: it is a folder, or its folder does not exist or cannot be written into.
-    """
+def _check_out(out: Path) -> None:
+    """Check that the file *out* can be written; FileError if not, ConfigError unless it is a .safetensors file."""
     if out.suffix != ".safetensors":
         raise ConfigError(f"--out {out}: give a name that ends in .safetensors")
-    if out.is_dir():
-        raise FileError(out, "is a folder", "name a file in --out")
     if not out.parent.is_dir():
         raise FileError(out.parent, "no such folder", "make it, or choose another --out")
-    if not os.access(out.parent, os.W_OK):
-        raise FileError(out.parent, "nothing can be written into it", "choose another --out")
+    check_writable(out)
 
 
 def _warm_up(

@@ -55,6 +55,22 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> None:
         raise FileError(path, f"cannot be made ({os_reason(error)})", remedy) from None
 
 
+def check_writable(path: Path) -> None:
+    """Check that the file *path*, given by ``--out``, can be written, before work that takes minutes.
+
+    Raises:
+        FileError: it is a folder, or its folder cannot be used or written into.
+    """
+    if path.is_dir():
+        raise FileError(path, "is a folder", "name a file in --out")
+    try:
+        os.scandir(path.parent).close()
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({os_reason(error)})", "choose another --out") from None
+    if not os.access(path.parent, os.W_OK):
+        raise FileError(path, "cannot be written (its folder is read-only)", "choose another --out")
+
+
 def arrow_path(path: Path) -> Path:
     """Return *path* for pyarrow, which takes a relative path with a colon for a URI."""
     return path.absolute()

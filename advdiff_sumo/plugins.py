@@ -62,6 +62,10 @@ class Registry:
         known = _matching_name(self.builtins, name)
         return None if known is None else self.builtins[known].partition(":")[0]
 
+    def is_builtin(self, name: str) -> bool:
+        """Return whether *name*, which may also be ``package.module:Class``, means a built-in."""
+        return name in self.builtins.values() or _matching_name(self.builtins, name) is not None
+
     def canonical(self, name: str) -> str:
         """Return *name* as the registry spells it, and ``package.module:Class`` unchanged.
 

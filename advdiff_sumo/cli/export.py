@@ -24,7 +24,6 @@ from advdiff_sumo.core.plug_in_source import described, raised_at
 if TYPE_CHECKING:
     from advdiff_sumo.export import Exporter, ExportScene
 
-_OUR_PACKAGE = "advdiff_sumo."
 _console = terminal(highlight=False, soft_wrap=True)
 
 
@@ -103,13 +102,15 @@ def _files_of(exporter: Exporter, scene: ExportScene, folder: Path) -> Sequence[
     Raises:
         ConfigError: it cannot hold the scene or, a user's own, raised something else or returned no paths.
     """
+    from advdiff_sumo.export import EXPORTERS  # late, as above
+
     name = f"{type(exporter).__module__}:{type(exporter).__qualname__}"
     try:
         files: object = exporter.write(scene, folder)  # by a user's own, anything
     except (AdvdiffError, OSError):
         raise
     except Exception as error:  # a user's exporter may raise anything; a traceback shows faults of our own
-        if name.startswith(_OUR_PACKAGE):
+        if EXPORTERS.is_builtin(name):
             raise
         told = f"{described(error)}{raised_at(error, exporter)}"
         raise ConfigError(f"format '{name}' raised {told}; correct it") from error

@@ -160,8 +160,8 @@ def _memo_of(task: EpisodeTask) -> PlanMemo | None:
     """
     name, options = task.options.background, task.options.background_options
     surrogate = str(options.get("surrogate", "lane_graph"))
-    is_builtin = surrogate in TARGETS.builtins or surrogate.startswith("advdiff_sumo.")
-    if not is_builtin or POLICIES.canonical(name) not in set(POLICIES.builtins) - _WITHOUT_PLANNING:
+    policies = set(POLICIES.builtins) - _WITHOUT_PLANNING
+    if not TARGETS.is_builtin(surrogate) or POLICIES.canonical(name) not in policies:
         return None
     key = (task.net_digest, name, repr(sorted(options.items())), _states_of(options))
     return PlanMemo(key, _KEPT_PLANS)

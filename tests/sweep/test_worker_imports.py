@@ -28,3 +28,6 @@ def test_a_built_in_is_found_by_any_spelling_and_a_users_class_is_none() -> None
 
     assert POLICIES.builtin_module("Adv_RL") == "advdiff_sumo.traffic.rl.adv_rl_policy"
     assert POLICIES.builtin_module("my_package:Policy") is None
+    assert POLICIES.is_builtin("Adv_RL")
+    assert POLICIES.is_builtin(POLICIES.builtins["adv-rl"])
+    assert not POLICIES.is_builtin("my_package:Policy")

@@ -13,7 +13,7 @@ from sumolib.net.lane import SUMO_VEHICLE_CLASSES
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import NetError
 from advdiff_sumo.core.polylines import Polyline, without_repeats
-from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link
+from advdiff_sumo.maps.lanes import Edge, Junction, Lane, Link, edge_of_lane
 from advdiff_sumo.maps.read_net import RawNet, leaving_lanes, marked_requests, shape_of
 
 DEFAULT_LANE_WIDTH_M = 3.2
@@ -264,7 +264,7 @@ def junction_of_internal(lane_or_edge_id: str) -> str:
 def _edge(name: str, element: ET.Element, lanes: Sequence[Lane]) -> Edge:
     is_internal = element.get("function") == "internal"
     junction = name[1:].rsplit("_", 1)[0] if is_internal else ""
-    successor_ids = {link.to_lane.rsplit("_", 1)[0]: None for lane in lanes for link in lane.successors}
+    successor_ids = {edge_of_lane(link.to_lane): None for lane in lanes for link in lane.successors}
     return Edge(
         id=name,
         lane_ids=tuple(lane.id for lane in lanes),

@@ -12,7 +12,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.maps.lanes import Junction, Lane
+from advdiff_sumo.maps.lanes import Junction, Lane, edge_of_lane
 
 _SEAM_M = 0.05
 """Half the width of the gaps between lanes that are closed."""
@@ -39,7 +39,7 @@ def area_of_lanes(lanes: Iterable[Lane], junctions: Mapping[str, Junction]) -> B
         shapely.make_valid(Polygon(junction.shape_xy_m))
         for junction in junctions.values()
         if len(junction.shape_xy_m) >= 3
-        and any(lane.rsplit("_", 1)[0] in road_edges for lane in junction.incoming_lanes)
+        and any(edge_of_lane(lane) in road_edges for lane in junction.incoming_lanes)
     ]
     area = shapely.union_all(parts).buffer(_SEAM_M, join_style="mitre").buffer(-_SEAM_M, join_style="mitre")
     if shapely.is_valid(area):

@@ -12,6 +12,11 @@ from advdiff_sumo.core.arrays import FloatArray, read_only
 from advdiff_sumo.core.polylines import Polyline
 
 
+def edge_of_lane(lane_id: str) -> str:
+    """Return the edge of a lane by its name, for lanes that a :class:`Lane` need not exist for; "" for no name."""
+    return lane_id.rpartition("_")[0]
+
+
 @dataclass(frozen=True)
 class Link:
     """A connection of two lanes over a junction.

@@ -19,6 +19,7 @@ from advdiff_sumo.core.arrays import FloatArray, read_only
 from advdiff_sumo.core.errors import NetError, os_reason
 from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
+from advdiff_sumo.maps.lanes import edge_of_lane
 from advdiff_sumo.maps.not_a_net import map_error
 
 SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml")
@@ -132,7 +133,7 @@ def ids_beyond(root: ET.Element) -> set[str]:
     if not edges:
         return edges
     connections = [c for c in root.iterfind("connection") if c.get("from") in edges or c.get("to") in edges]
-    return edges | {c.get("via", "").rpartition("_")[0] for c in connections}
+    return edges | {edge_of_lane(c.get("via", "")) for c in connections}
 
 
 def read_root(path: Path, tag: str, what: str) -> ET.Element:

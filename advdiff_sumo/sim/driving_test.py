@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from advdiff_sumo.core import boxes
 from advdiff_sumo.core.errors import SimulationError
+from advdiff_sumo.maps.lanes import edge_of_lane
 from advdiff_sumo.sim.random_trips import RandomTrips
 
 LENGTH_M, WIDTH_M = 4.6, 1.9
@@ -142,7 +143,7 @@ def _on_map(state: dict[str, dict[int, Any]], beyond: set[str]) -> dict[str, dic
     return {
         name: values
         for name, values in state.items()
-        if str(values[libsumo.VAR_LANE_ID]).rpartition("_")[0] not in beyond
+        if edge_of_lane(str(values[libsumo.VAR_LANE_ID])) not in beyond
     }
 
 

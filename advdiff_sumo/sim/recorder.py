@@ -11,6 +11,7 @@ from advdiff_sumo.core.arrays import IntArray
 from advdiff_sumo.core.plan import JointPlan, Plan
 from advdiff_sumo.core.record import Controller, EndReason, EpisodeRecord, MadePlans, SumoCollision
 from advdiff_sumo.core.scene import Scene, Tracks
+from advdiff_sumo.maps.lanes import edge_of_lane
 from advdiff_sumo.sim.planned import made_plans
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.world import PERSON, Frame, World, stack
@@ -58,7 +59,7 @@ class Recorder:
         self.teleports += api.simulation.getStartingTeleportNumber()
         for collision in api.simulation.getCollisions():
             pair = self._name(collision.collider), self._name(collision.victim)
-            if collision.lane.rpartition("_")[0] not in self.world.beyond_rim:
+            if edge_of_lane(collision.lane) not in self.world.beyond_rim:
                 self.collisions.append(SumoCollision(len(self.frames), *pair, collision.type, collision.lane))
 
     def _name(self, sumo_id: str) -> str:

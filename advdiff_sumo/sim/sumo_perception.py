@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from advdiff_sumo.maps.lanes import edge_of_lane
 from advdiff_sumo.sim.world import PERSON
 
 _TLS_STATE = 0x20  # libsumo.constants.TL_RED_YELLOW_GREEN_STATE
@@ -54,7 +55,7 @@ def _on_crossings(api: Any, name: str) -> set[str]:
     own_lane = api.vehicle.getLaneID(name)
     inner_lanes += [own_lane] if own_lane.startswith(":") else []
     lanes = {lane for inner in inner_lanes if inner for lane in api.lane.getInternalFoes(inner)}
-    crossings = {lane.rpartition("_")[0] for lane in lanes if _CROSSING.match(lane)}
+    crossings = {edge_of_lane(lane) for lane in lanes if _CROSSING.match(lane)}
     return {PERSON + person for edge in crossings for person in api.edge.getLastStepPersonIDs(edge)}
 
 

@@ -13,6 +13,7 @@ from advdiff_sumo.core.frames import centre_from_bumper, yaw_from_sumo
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.core.sumo_classes import CLASS_OF_VCLASS
+from advdiff_sumo.maps.lanes import edge_of_lane
 
 _POSITION, _ANGLE, _SPEED, _LANE, _LATERAL = 0x42, 0x43, 0x40, 0x51, 0xB8  # libsumo.constants.VAR_*
 _VEHICLE = 0xC3  # the vehicle in which a person rides
@@ -174,7 +175,7 @@ def read(world: World, api: Any, controlled: Collection[int]) -> IntArray:
         x, y = values[_POSITION][:2]
         if row in controlled:
             continue
-        if x < _NO_POSITION or (rim and values[_LANE].rpartition("_")[0] in rim):
+        if x < _NO_POSITION or (rim and edge_of_lane(values[_LANE]) in rim):
             lost.append(row)  # off the road or beyond the rim, but not arrived
         else:
             rows.append(row)

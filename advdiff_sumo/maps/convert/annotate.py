@@ -15,6 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
+from advdiff_sumo.maps.lanes import edge_of_lane
 
 CONNECTION = re.compile(
     r'(?P<indent>[ ]*)<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)"'
@@ -97,7 +98,7 @@ def _internal_shapes(text: str, plan: NetPlan) -> dict[str, FloatArray]:
     for match in CONNECTION_VIA.finditer(text):
         origin, target, from_lane, to_lane, via = match.groups()
         connection = plan.connection_of.get((origin, int(from_lane), target, int(to_lane)))
-        if connection is not None and via.rpartition("_")[0] not in divided:
+        if connection is not None and edge_of_lane(via) not in divided:
             shapes[via] = connection.shape_m
     return shapes
 

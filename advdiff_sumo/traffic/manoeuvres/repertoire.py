@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from advdiff_sumo.core.scene import HEAVY_CLASSES
-from advdiff_sumo.maps.lanes import Link
+from advdiff_sumo.maps.lanes import Link, edge_of_lane
 from advdiff_sumo.metrics.safe_gap import safe_gap_m
 from advdiff_sumo.traffic.licence import LAWFUL
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import LATERAL_MPS, Manoeuvre
@@ -231,13 +231,10 @@ def crossing_links(view: SituationView, row: int) -> tuple[Link, Link] | None:
         if other is None or line_m > _CROSSING_M or link is other:
             continue
         foes = view.road.junctions[link.junction_id].foes.get(link.request_index, frozenset())
-        if other.request_index in foes and _from_edge(link) != _from_edge(other):
+        from_edge, other_edge = edge_of_lane(link.from_lane), edge_of_lane(other.from_lane)
+        if other.request_index in foes and from_edge != other_edge:
             return link, other
     return None
-
-
-def _from_edge(link: Link) -> str:
-    return link.from_lane.rpartition("_")[0]
 
 
 def _stops(view: SituationView, row: int, kind: str, braking_mps2: tuple[float, ...]) -> Iterator[Manoeuvre]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps import RoadMap
-from advdiff_sumo.maps.lanes import Lane, Link
+from advdiff_sumo.maps.lanes import Lane, Link, edge_of_lane
 
 HORIZON_M = 120.0
 """Distance ahead up to which lanes are followed."""
@@ -97,6 +97,6 @@ def _next_link(lane: Lane, route: Sequence[str]) -> Link | None:
     links = [link for link in lane.successors if not link.turns_round] or list(lane.successors)
     if not links:
         return None
-    on_route = [link for link in links if link.to_lane.rpartition("_")[0] in route]
+    on_route = [link for link in links if edge_of_lane(link.to_lane) in route]
     straight = [link for link in links if link.direction == "s"]
     return (on_route or straight or links)[0]

@@ -29,7 +29,7 @@ from advdiff_sumo.traffic.planning.futures import (
     futures_of,
     join,
 )
-from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_ahead
+from advdiff_sumo.traffic.planning.lanes_ahead import LaneAhead, lanes_of_rows
 from advdiff_sumo.traffic.planning.people import PEOPLE, go_straight, velocities
 from advdiff_sumo.traffic.planning.safeguard import (
     SafeguardedPlans,
@@ -168,11 +168,7 @@ def remaining_plan(
 def lanes_of(road: RoadMap, scene: Scene) -> dict[int, LaneAhead | None]:
     """Return, by row, the lanes that each movable vehicle would follow."""
     rows = np.flatnonzero(scene.movable & scene.history.valid[:, -1])
-    now = scene.history
-    ahead = lanes_ahead(
-        road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], [scene.routes[row] for row in rows.tolist()]
-    )
-    return dict(zip(rows.tolist(), ahead, strict=True))
+    return dict(zip(rows.tolist(), lanes_of_rows(road, scene, rows), strict=True))
 
 
 def leaves_net(scene: Scene, lanes: Mapping[int, LaneAhead | None]) -> BoolArray:

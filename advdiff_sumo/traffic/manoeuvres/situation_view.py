@@ -17,7 +17,7 @@ from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.ways import Way
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS
-from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead, lanes_ahead
+from advdiff_sumo.traffic.planning.lanes_ahead import lane_ahead, lanes_ahead, lanes_of_rows
 from advdiff_sumo.traffic.planning.people import velocities
 
 NEAR_M = 70.0
@@ -54,12 +54,7 @@ class SituationView:
         distance = np.linalg.norm(history.xy_m[:, -1] - history.xy_m[scene.target, -1], axis=-1)
         is_included = (distance <= NEAR_M) | np.isin(history.ids, list(farther))
         rows = np.flatnonzero(history.valid[:, -1] & is_included)
-        lanes = lanes_ahead(
-            road,
-            history.xy_m[rows, -1],
-            history.yaw_rad[rows, -1],
-            [scene.routes[row] for row in rows.tolist()],
-        )
+        lanes = lanes_of_rows(road, scene, rows)
         is_walking = history.classes[rows] == AgentClass.PEDESTRIAN
         candidates = zip(rows.tolist(), lanes, is_walking.tolist(), strict=True)
         ways = {

@@ -23,7 +23,7 @@ from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.boxes import axis_gaps
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.traffic.planning.futures import STANDS_MPS, WALKS_MPS, Futures
-from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
+from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, drive_along
 
 LADDER_MPS2 = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.0, 8.5)
 """Decelerations to try after the unchanged plan; the mildest that suffices is taken."""
@@ -295,8 +295,7 @@ def _slow_down(
         chosen = len(driven) - 1
     if chosen == 0:
         return bool(is_clear[0]), False
-    xy, yaw = paths.at(row, driven[chosen])
-    futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[chosen], prepend=0.0), futures.dt_s))
+    drive_along(futures, paths, row, driven[chosen])
     return bool(is_clear[chosen]), True
 
 

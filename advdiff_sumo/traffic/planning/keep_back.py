@@ -15,7 +15,7 @@ from advdiff_sumo.core.polylines import Polyline
 from advdiff_sumo.metrics.reference.driver_models import FULL_BRAKE_MPS2
 from advdiff_sumo.traffic.planning.braking import GAP_M, SIDE_M
 from advdiff_sumo.traffic.planning.futures import Futures
-from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, speeds_of_strides
+from advdiff_sumo.traffic.planning.planned_paths import PlannedPaths, drive_along
 
 OWN_BRAKE_MPS2 = 7.0
 """Deceleration with which the follower must be able to stop, from the next plan on."""
@@ -57,8 +57,7 @@ def keep_back(futures: Futures, rows: BoolArray, target: int, ladder_mps2: tuple
         suffices = stop_distance + GAP_M <= gap + 0.5 * lead_speed**2 / FULL_BRAKE_MPS2
         chosen = int(suffices.argmax()) if suffices.any() else len(driven) - 1
         if chosen > 0:
-            xy, yaw = paths.at(row, driven[chosen])
-            futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven[chosen], prepend=0.0), futures.dt_s))
+            drive_along(futures, paths, row, driven[chosen])
             braked[row] = True
     return braked
 

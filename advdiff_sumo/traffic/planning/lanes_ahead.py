@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.core.arrays import FloatArray, IntArray
+from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.lanes import Lane, Link, edge_of_lane
 
@@ -36,6 +37,13 @@ class LaneAhead:
     stops: tuple[tuple[float, Link], ...]
     end_m: float
     offset_m: float
+
+
+def lanes_of_rows(road: RoadMap, scene: Scene, rows: IntArray) -> list[LaneAhead | None]:
+    """Return :func:`lanes_ahead` for *rows* of *scene*, where they are now, along their routes."""
+    now = scene.history
+    routes = [scene.routes[row] for row in rows.tolist()]
+    return lanes_ahead(road, now.xy_m[rows, -1], now.yaw_rad[rows, -1], routes)
 
 
 def lanes_ahead(

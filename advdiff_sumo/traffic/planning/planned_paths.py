@@ -26,6 +26,12 @@ class PlannedPaths:
         return xy[piece] + share[..., None] * (xy[piece + 1] - xy[piece]), heading
 
 
+def drive_along(futures: Futures, paths: PlannedPaths, row: int, driven_m: FloatArray) -> None:
+    """Put *row* of *futures* at the distances *driven_m* (T,) along its path, with the speeds of these."""
+    xy, yaw = paths.at(row, driven_m)
+    futures.put(row, xy, yaw, speeds_of_strides(np.diff(driven_m, prepend=0.0), futures.dt_s))
+
+
 def speeds_of_strides(stride_m: FloatArray, dt_s: float) -> FloatArray:
     """Return speeds (T,) at the instants of a plan from the distances *stride_m* (T,) driven in its steps."""
     mean = stride_m / dt_s

@@ -117,6 +117,17 @@ class ReferencePath:
         return cell, scaled - cell
 
 
+def slowed_ahead(bound_mps: FloatArray, braking_mps2: float, least_mps: float) -> FloatArray:
+    """Return speeds (P,) at points ``SPACING_M`` apart that meet *bound_mps* (P,) with *braking_mps2* ahead of it.
+
+    The least of them is *least_mps*.
+    """
+    # v²(s) ≤ v²(s') + 2 b (s' − s) for every s' ahead: the running minimum of v² + 2 b s from the far end
+    braking = 2.0 * braking_mps2 * SPACING_M * np.arange(len(bound_mps))
+    squared = np.minimum.accumulate((bound_mps**2 + braking)[::-1])[::-1] - braking
+    return np.asarray(np.sqrt(np.maximum(squared, least_mps**2)))
+
+
 class PathStack:
     """N reference lines in one padded array, for look-ups on all of them at once."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.planners.lane_graph.duties import Duties
 from advdiff_sumo.planners.lane_graph.lane_graph_options import LaneGraphOptions
-from advdiff_sumo.planners.lane_graph.path import SPACING_M, ReferencePath
+from advdiff_sumo.planners.lane_graph.path import SPACING_M, ReferencePath, slowed_ahead
 from advdiff_sumo.planners.lane_graph.predict import STEP_S, Forecast
 from advdiff_sumo.planners.lane_graph.variants import TargetState, Variant
 
@@ -213,7 +213,4 @@ def _path_speed(path: ReferencePath, options: LaneGraphOptions) -> FloatArray:
     """Return (P,) the desired speed at each metre of *path*."""
     bend_speed = np.sqrt(options.lateral_mps2) * path.bend_mps
     bound = np.minimum(bend_speed, options.speed_factor * path.limit_mps)
-    # v²(s) ≤ v²(s') + 2 b (s' − s) for every s' ahead: the running minimum of v² + 2 b s from the far end
-    braking = 2.0 * 0.7 * options.decel_mps2 * SPACING_M * np.arange(len(bound))
-    squared = np.minimum.accumulate((bound**2 + braking)[::-1])[::-1] - braking
-    return np.asarray(np.sqrt(np.maximum(squared, 0.25)))
+    return slowed_ahead(bound, 0.7 * options.decel_mps2, 0.5)

@@ -9,7 +9,7 @@ import numpy as np
 from advdiff_sumo.core.arrays import FloatArray, IntArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.kinematic_states import KinematicStates
-from advdiff_sumo.planners.lane_graph.path import SPACING_M
+from advdiff_sumo.planners.lane_graph.path import SPACING_M, slowed_ahead
 from advdiff_sumo.planners.lane_graph.variants import Variant
 from advdiff_sumo.planners.learned.guide import Guide
 
@@ -97,9 +97,7 @@ def _along(
 def _bend_speeds(line: Variant) -> FloatArray:
     """Return (P,) the highest speed at each metre of the line's path, low enough ahead of every bend."""
     bound = np.sqrt(_LATERAL_MPS2) * line.path.bend_mps
-    braking = 2.0 * _BEND_BRAKE_MPS2 * SPACING_M * np.arange(len(bound))
-    squared = np.minimum.accumulate((bound**2 + braking)[::-1])[::-1] - braking
-    return np.asarray(np.sqrt(np.maximum(squared, 1.0)))
+    return slowed_ahead(bound, _BEND_BRAKE_MPS2, 1.0)
 
 
 def _straight(

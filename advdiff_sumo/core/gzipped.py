@@ -13,12 +13,16 @@ DAMAGED_GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
 GZIP_PROBLEM, GZIP_REMEDY = "the gzip data are cut off or damaged", "copy or make the file anew"
 
 
+def is_gzipped(path: Path) -> bool:
+    """Return whether *path* is gzipped; OSError if it cannot be opened."""
+    with path.open("rb") as file:
+        return file.read(len(GZIP)) == GZIP
+
+
 def unpacked(path: Path) -> gzip.GzipFile | BufferedReader:
     """Open *path* for reading its content, unpacked if it is gzipped.
 
     Raises:
         OSError: the file cannot be opened.
     """
-    with path.open("rb") as file:
-        is_gzipped = file.read(len(GZIP)) == GZIP
-    return gzip.open(path) if is_gzipped else path.open("rb")
+    return gzip.open(path) if is_gzipped(path) else path.open("rb")

@@ -55,6 +55,11 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> None:
         raise FileError(path, f"cannot be made ({os_reason(error)})", remedy) from None
 
 
+def is_free(path: Path) -> bool:
+    """Return whether *path* does not exist, or is an empty folder."""
+    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+
+
 def check_writable(path: Path) -> None:
     """Check that the file *path*, given by ``--out``, can be written, before work that takes minutes.
 

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 from defusedxml.ElementTree import iterparse
 
 from advdiff_sumo.core.errors import FileError, os_reason
-from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP, GZIP_PROBLEM, GZIP_REMEDY, unpacked
+from advdiff_sumo.core.gzipped import DAMAGED_GZIP, GZIP_PROBLEM, GZIP_REMEDY, is_gzipped, unpacked
 from advdiff_sumo.core.xml_errors import UNREADABLE_XML
 
 _CHUNK_BYTES = 1 << 20
@@ -30,9 +30,7 @@ def check_whole(path: Path) -> None:
     Raises:
         FileError: it cannot be read, or its gzip data are damaged.
     """
-    with path.open("rb") as file:
-        is_gzipped = file.read(len(GZIP)) == GZIP
-    if is_gzipped:
+    if is_gzipped(path):
         for _ in _chunks(path):
             pass
 

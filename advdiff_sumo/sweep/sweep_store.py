@@ -15,7 +15,7 @@ import tomli_w
 
 from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, FileError
-from advdiff_sumo.core.whole_file import ASIDE
+from advdiff_sumo.core.whole_file import ASIDE, is_free
 from advdiff_sumo.data.run_tables import RUN_SETTINGS, SWEEP_SETTINGS
 from advdiff_sumo.sweep.spec import SweepSpec
 from advdiff_sumo.sweep.stored_episode import StoredEpisode, pack, unpack
@@ -275,7 +275,7 @@ def must_be_free(path: Path) -> None:
     """
     if (path / SWEEP_SETTINGS).exists():
         raise FileError(path, "already holds a sweep", "go on with --resume, or choose a new --out")
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+    if not is_free(path):
         raise FileError(path, "is there already and no empty folder", "choose a new --out")
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from advdiff_sumo.config import Options, OwnOptions, Seed
 from advdiff_sumo.core.errors import ConfigError, FileError, MissingExtraError, WeightsError
-from advdiff_sumo.core.whole_file import make_folder
+from advdiff_sumo.core.whole_file import is_free, make_folder
 from advdiff_sumo.models.shipped_weights import shipped_weights
 from advdiff_sumo.plugins import Registry, fold
 from advdiff_sumo.sim.run_episodes import versions
@@ -148,7 +148,7 @@ def open_bench(path: Path, request: Request) -> Folder:
                 f"{path}: {changed[0]} is not what it was when that bench was begun; choose a new --out"
             )
         weights |= previous["weights"]
-    elif path.exists() and (not path.is_dir() or any(path.iterdir())):
+    elif not is_free(path):
         raise FileError(path, "is there already and no folder of a bench", "choose a new --out")
     made_by = versions()
     earlier_revisions = tuple(previous["revisions"]) if previous is not None else ()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import advdiff_sumo
 from advdiff_sumo.core.errors import FileError, os_reason
+from advdiff_sumo.core.whole_file import is_free
 
 #: Files that a planner's server imports, relative to this package.
 KIT_FILES = (
@@ -40,7 +41,7 @@ def write_kit(folder: Path) -> list[Path]:
     Raises:
         FileError: the folder exists and is not empty, or cannot be written.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not is_free(folder):
         raise FileError(folder, "is there already", "name a new folder")
     source = Path(advdiff_sumo.__file__).parent
     kit = sorted(p.relative_to(source) for p in (source / "planner_kit").iterdir() if p.is_file())

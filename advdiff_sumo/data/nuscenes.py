@@ -67,10 +67,7 @@ class NuScenesReader:
             UnknownNameError: there is no such scene.
             LogError: a table is missing or damaged.
         """
-        names = self.names()
-        if name not in names:
-            raise UnknownNameError("scene", name, names)
-        number = names.index(name)
+        number = self._number(name)
         joined = self._joined
         tracks = _tracks(
             joined.keyframes[number],
@@ -94,11 +91,15 @@ class NuScenesReader:
         Raises:
             UnknownNameError: there is no such scene.
         """
+        frames = self._joined.keyframes[self._number(name)]
+        return {token: int(slot) for token, slot in zip(frames.tokens, frames.slot, strict=True)}
+
+    def _number(self, name: str) -> int:
+        """Return the number of scene *name*; UnknownNameError if there is none."""
         names = self.names()
         if name not in names:
             raise UnknownNameError("scene", name, names)
-        frames = self._joined.keyframes[names.index(name)]
-        return {token: int(slot) for token, slot in zip(frames.tokens, frames.slot, strict=True)}
+        return names.index(name)
 
     @cached_property
     def folder(self) -> Path:

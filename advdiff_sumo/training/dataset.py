@@ -45,6 +45,10 @@ class WindowSet:
         """Return the number of windows."""
         return len(self.row)
 
+    def spread(self, most: int) -> IntArray:
+        """Return the numbers of at most *most* windows, evenly spaced."""
+        return np.linspace(0, len(self) - 1, min(len(self), most)).round().astype(np.int64)
+
     @property
     def map_view(self) -> MapView:
         """How much of the map the windows show."""

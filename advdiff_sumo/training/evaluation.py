@@ -114,8 +114,7 @@ def evaluate_bundle(
     bundle.to(device).frozen()
     ways = methods(bundle, judging)
     sums = {name: _Sums() for name in (*ways, "log")}
-    count = len(windows) if judging.windows is None else min(len(windows), judging.windows)
-    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    chosen = windows.spread(len(windows) if judging.windows is None else judging.windows)
     few, done = windows.subset(chosen), 0
     for number, rows in enumerate(batches(few, judging.batch_size)):
         batch = few.batch(rows).to(device)
@@ -129,7 +128,7 @@ def evaluate_bundle(
             _add(sums[name], rollout, batch.repeat(times), times)
         done += len(rows)
         if on_progress is not None:
-            on_progress(done, count)
+            on_progress(done, len(chosen))
     return {name: _figures(method_sums, sums["log"]) for name, method_sums in sums.items()}
 
 

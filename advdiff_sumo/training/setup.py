@@ -10,7 +10,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 import torch
 
 from advdiff_sumo import __version__
@@ -350,9 +349,7 @@ def _sides(plan: TrainingRequest, windows: WindowSet) -> tuple[WindowSet, Window
 
 
 def _measure(bundle: Bundle, windows: WindowSet, options: TrainOptions, device: torch.device) -> None:
-    count = min(len(windows), options.scale_windows)
-    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
-    few = windows.subset(chosen)
+    few = windows.subset(windows.spread(options.scale_windows))
     batched = (few.batch(numbers).to(device) for numbers in batches(few, 32))
     measure_scale(bundle, batched, torch.Generator().manual_seed(options.split_seed))
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
@@ -298,8 +297,7 @@ def evaluate(stage: Stage, windows: WindowSet, options: TrainOptions, device: to
 
 def held_out_batches(windows: WindowSet, options: TrainOptions) -> Iterator[IntArray]:
     """Yield batches of the held-out windows of an evaluation: evenly spaced, at most ``held_out_windows``."""
-    count = min(len(windows), options.held_out_windows)
-    chosen = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    chosen = windows.spread(options.held_out_windows)
     for numbers in batches(windows.subset(chosen), max(options.batch_size, 16)):
         yield chosen[numbers]
 

@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from advdiff_sumo.report.panels import MOST_PANELS
-
 
 def figure(
     run: Annotated[Path, typer.Argument(help="Folder of a run or sweep.", show_default=False)],
@@ -17,8 +15,7 @@ def figure(
         int | None, typer.Option(help="Number of the episode.", show_default="the worst")
     ] = None,
     panels: Annotated[
-        int,
-        typer.Option(min=0, max=MOST_PANELS, help="Moments side by side; 0: one picture, a box a second."),
+        int, typer.Option(min=0, help="Moments side by side; 0: one picture, a box a second.")
     ] = 4,
     start: Annotated[
         float | None, typer.Option(help="First moment, in seconds.", show_default="6 s before the last")

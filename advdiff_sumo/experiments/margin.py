@@ -19,8 +19,8 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
     MOST_EARLY_S,
     MOST_REVEALS_S,
     MOST_SPARE_GAP_M,
+    ONCOMING,
 )
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
 
 EVERY_ATTACK = "all"
 _LEAVES_ROAD = "it leaves the road by itself and touches nobody"

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.boxes import corners
+from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.report.drawing import (
     COLOURS,
     GROUND,
@@ -27,12 +28,12 @@ from advdiff_sumo.report.drawing import (
     save_figure,
 )
 from advdiff_sumo.report.layer import NetWindow
-from advdiff_sumo.report.panels import moments_of_panels
 from advdiff_sumo.report.scene_picture import Role
 from advdiff_sumo.report.selection import ChosenEpisode, poses_at
 
 #: Default duration of a strip, and spacing of its circles: the model's step.
 STRIP_S, CIRCLES_S = 6.0, 0.5
+_MOST_PANELS = 8
 _PANEL_IN, _LEGEND_IN = 3.1, 0.34
 _PALE = "#ffffff"
 _WIDEST_COMMON_VIEW_M = 90.0
@@ -78,7 +79,9 @@ def strip_figure(
     """
     chosen = ChosenEpisode.read(folder, episode)
     start, end = chosen.span_s(start_s, end_s, STRIP_S)
-    return draw_strip(chosen, moments_of_panels(panels, start, end), start)
+    if not 1 <= panels <= _MOST_PANELS:
+        raise ConfigError(f"panels={panels}: give a number from 1 to {_MOST_PANELS}")
+    return draw_strip(chosen, np.linspace(start, end, max(panels, 2))[-panels:], start)
 
 
 def draw_strip(chosen: ChosenEpisode, moments_s: FloatArray, start_s: float) -> Figure:

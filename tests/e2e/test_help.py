@@ -20,6 +20,13 @@ def test_version_of_the_console_script(tmp_path: Path) -> None:
     assert (done.code, done.out, done.err) == (0, f"advdiff-sumo {__version__}\n", "")
 
 
+def test_a_help_text_needs_no_library_of_numbers_or_simulator() -> None:
+    heavy = "{'numpy', 'torch', 'scipy', 'shapely', 'pyarrow', 'matplotlib', 'libsumo'}"
+    code = f"import sys, advdiff_sumo.cli.main\nprint({heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
 @pytest.mark.parametrize("verb", ["run", "sweep", "convert", "margin"])
 def test_nothing_is_cut_off_in_eighty_columns(
     tmp_path: Path, verb: str, monkeypatch: pytest.MonkeyPatch

@@ -54,6 +54,7 @@ def test_report_is_written_again(here: Callable[..., Outcome], finished: Path) -
         (("report", "gone"), "gone/run.toml: is missing; give the folder of a finished run or sweep"),
         (("video", "run", "a.gif", "--episode", "7"), "run: has no episode 7; it has 0 to 1"),
         (("figure", "run", "a.svg", "--start", "9"), "9 to 3 s is no stretch of the episode"),
+        (("figure", "run", "a.svg", "--panels", "9"), "panels=9: give a number from 1 to 8"),
         (("figure", "run", "a.svg", "--panels", "0", "--end", "2"), "--start and --end go with --panels"),
         (("video", "run", "no/a.gif"), "no/a.gif: cannot be written"),
         (("video", "run", "a.gif", "--speed", "0"), "--speed"),

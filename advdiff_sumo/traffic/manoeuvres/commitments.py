@@ -11,9 +11,8 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, Agenda, approaches_yield_line, has_red_ahead
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
 from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
-from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, Intensity
+from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, ONCOMING, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SHORT_GAPS
 from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView

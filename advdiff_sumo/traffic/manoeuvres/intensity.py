@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+ONCOMING = "oncoming"
+"""Name of the attack."""
 HARDEST_MPS2 = 9.0
 """No car brakes harder."""
 BRAKING_KINDS = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane", "double")

@@ -17,8 +17,6 @@ from advdiff_sumo.traffic.manoeuvres.repertoire import crossing_links
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
 
-ONCOMING = "oncoming"
-"""Name of the attack."""
 _MAX_SPEED_SHARE = 1.25
 """A vehicle faster than this share of the speed for its bend would have to brake in the bend."""
 

@@ -11,7 +11,8 @@ import pytest
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitment, Commitments
-from advdiff_sumo.traffic.manoeuvres.oncoming import ONCOMING, suited_crossings
+from advdiff_sumo.traffic.manoeuvres.intensity import ONCOMING
+from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     SHORT_GAPS,
     STREAM_GAP_S,

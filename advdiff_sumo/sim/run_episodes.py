@@ -261,7 +261,7 @@ def target_of(options: RunOptions) -> Target:
         InputError: there is none of that name, its options do not fit, or it cannot be made.
     """
     name = TARGETS.canonical(options.target)
-    return _make_or_explain(f"target '{name}'", make_target, name, options.target_options)
+    return make_or_explain(f"target '{name}'", make_target, name, options.target_options)
 
 
 def policy_of(options: RunOptions) -> TrafficPolicy:
@@ -271,7 +271,7 @@ def policy_of(options: RunOptions) -> TrafficPolicy:
     if name == "replay":  # it plans the log's states at SUMO's steps, at least until the next plan
         period_s = max(1.0, options.sim.model_step_s * options.sim.replan_every)
         policy_options = {"step_s": options.sim.step_s, "period_s": period_s, **policy_options}
-    return _make_or_explain(f"background '{name}'", make_policy, name, policy_options)
+    return make_or_explain(f"background '{name}'", make_policy, name, policy_options)
 
 
 def check_together(options: RunOptions, target: Target) -> None:
@@ -324,10 +324,20 @@ def versions() -> dict[str, str]:
     return {"advdiff_sumo": __version__, "revision": git_revision(), **versions_of}
 
 
-def _make_or_explain(
+def make_or_explain(
     what: str, make: Callable[..., _Plugin], name: str, options: Mapping[str, Any]
 ) -> _Plugin:
-    """Return ``make(name, options)``; any unexpected error of it becomes a ConfigError."""
+    """Return ``make(name, options)``.
+
+    Args:
+        what: kind and name for messages, such as "target 'mine:Planner'".
+        make: of a registry.
+        name: in it.
+        options: of the planner or policy.
+
+    Raises:
+        InputError: there is none of that name, its options do not fit, or it raised something while it was made.
+    """
     try:
         return make(name, options)
     except AdvdiffError:

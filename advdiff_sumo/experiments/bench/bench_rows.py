@@ -13,7 +13,9 @@ from advdiff_sumo.experiments.bench.bench_config import Request, chosen_names
 from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.requested_scenes import requested_scenes
 from advdiff_sumo.experiments.bench.scene_list import TABLE_LIST, SceneList
+from advdiff_sumo.planners.planner_protocol import Target
 from advdiff_sumo.planners.planner_registry import TARGETS, make_target
+from advdiff_sumo.sim.run_episodes import make_or_explain
 from advdiff_sumo.traffic.policy_registry import POLICIES, make_policy
 
 
@@ -80,12 +82,17 @@ def made_policy(name: str) -> object:
         InputError: it cannot be made, for example because its weights are missing.
     """
     row = policy_row(name)
-    return make_policy(row.background, row.options)
+    return made_background(row.background, row.options)
 
 
-def made_target(name: str, options: Mapping[str, Any] = MappingProxyType({})) -> object:
+def made_background(name: str, options: Mapping[str, Any]) -> object:
+    """Return the background policy *name* with *options*; errors as in :func:`made_policy`."""
+    return make_or_explain(f"background '{name}'", make_policy, name, options)
+
+
+def made_target(name: str, options: Mapping[str, Any] = MappingProxyType({})) -> Target:
     """Return the target *name* with *options*; errors as in :func:`made_policy`."""
-    return make_target(name, options)
+    return make_or_explain(f"target '{name}'", make_target, name, options)
 
 
 def resolve_request(

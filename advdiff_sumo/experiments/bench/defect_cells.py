@@ -11,6 +11,8 @@ from advdiff_sumo.experiments.bench.bench_config import Folder, Request
 from advdiff_sumo.experiments.bench.bench_rows import (
     PAPERS_LICENCE,
     REGISTERED,
+    made_background,
+    made_target,
     policy_row,
     resolve_request,
     with_licence,
@@ -21,8 +23,7 @@ from advdiff_sumo.experiments.bench.reporter import ProgressReporter
 from advdiff_sumo.experiments.bench.scene_list import DEFECTS_LIST, SceneList
 from advdiff_sumo.planners.defects import DEFECTS, Defect, parse_defects
 from advdiff_sumo.planners.planner_protocol import SumoDriver
-from advdiff_sumo.planners.planner_registry import TARGETS, make_target
-from advdiff_sumo.traffic.policy_registry import make_policy
+from advdiff_sumo.planners.planner_registry import TARGETS
 
 SOUND, CAREFUL = "sound", "careful"
 _DEFAULT_TARGET = "lane_graph"
@@ -72,7 +73,7 @@ def resolve_defects_request(
         planted_defects(target, request)
     for name in names:
         cell = _cell(request, name, "")
-        make_policy(cell.background, cell.background_options)  # raises an error for an unknown option
+        made_background(cell.background, cell.background_options)  # raises an error for an unknown option
     return scenes, targets, names
 
 
@@ -87,12 +88,12 @@ def planted_defects(
     texts = [text if ":" in text else f"{text}:{request.severity}" for text in request.defects or DEFECTS]
     defects = parse_defects(texts)
     target_options = request.episode.target_options
-    driver = make_target(target, target_options)
+    driver = made_target(target, target_options)
     if not isinstance(driver, SumoDriver):
         return defects
     if request.defects:
         planted = {"defects": [defect.name for defect in defects]}
-        make_target(target, {**target_options, **planted})  # raises an error for an unsupported one
+        made_target(target, {**target_options, **planted})  # raises an error for an unsupported one
     names = [defect.kind.name for defect in defects if defect.lacks_form(driver) is not None]
     if names and reporter is not None:
         reporter.say(f"left out, as SUMO, which drives {target}, has no form of them: {', '.join(names)}")

@@ -16,7 +16,9 @@ from advdiff_sumo.experiments.bench.bench_config import Request
 from advdiff_sumo.experiments.bench.scene_list import ListedScene, SceneList, choose_scenes, make_list
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.maps.shipped_nets import net_name
+from advdiff_sumo.sim.demand_files import read_demand
 from advdiff_sumo.sim.logs import LoggedTraffic
+from advdiff_sumo.sim.run_episodes import RunOptions, read_road
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.training_windows.log_nets import LogNets, NoNetError
 from advdiff_sumo.sweep.fingerprint import file_digest, net_files
@@ -138,16 +140,19 @@ def requested_scenes(request: Request, name: str, folder: Path | None) -> SceneL
 
 def _scenes_of_nets(request: Request) -> SceneList:
     """Return the first ``request.scenes`` scenes, nets in turn; on each net scenes 0, 1, … of a run with that seed."""
-    if not request.scenes.isdigit():
+    try:
+        count = int(request.scenes)
+    except ValueError:
         raise ConfigError(
             f"--scenes {request.scenes}: has its own nets; give the number of scenes on --net, or leave --net out "
             "(a folder goes on with what it was begun with; another --out begins anew)"
-        )
-    count = int(request.scenes)
+        ) from None
     if count < 1:
         raise ConfigError(f"--scenes {count}: give a number above 0")
     nets = tuple(dict.fromkeys(net_name(net) for net in request.nets))
     episode_options = request.episode
+    for net in nets:
+        _check_demand(net, episode_options.demand)
     per_net = -(-count // len(nets))
     scene_list = make_list(
         per_net,
@@ -158,3 +163,14 @@ def _scenes_of_nets(request: Request) -> SceneList:
         request.horizon_s,
     )
     return scene_list.model_copy(update={"demand": episode_options.demand}).first(count)
+
+
+def _check_demand(net: str, demand: str) -> None:
+    """Check the demand of *net*, its configuration's if *demand* is empty, as a folder that is begun keeps its options.
+
+    Raises:
+        InputError: the demand is missing, damaged, or of another net.
+    """
+    options = RunOptions.parse({"net": net, "demand": demand})
+    if options.demand:
+        read_demand(Path(options.demand), read_road(options.net))

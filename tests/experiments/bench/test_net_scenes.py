@@ -90,8 +90,10 @@ def test_a_configuration_brings_its_demand_and_a_route_file_is_taken(net: Path, 
     ("scenes", "options", "said"),
     [
         ("four.json", {}, "--scenes four.json: has its own nets; give the number of scenes on --net"),
+        ("-3", {}, "--scenes -3: give a number above 0"),
         ("0", {}, "--scenes 0: give a number above 0"),
         ("2", {"scene": {"warmpu_s": 9}}, "did you mean 'warmup_s'?"),
+        ("2", {"demand": "nowhere.rou.xml"}, "nowhere.rou.xml: no such demand file"),
         ("2", {"episodes": 3}, "--set: no option 'episodes'"),
         ("2", {"background_options": {"attack": "cut-in"}}, "attack"),
     ],
@@ -114,6 +116,19 @@ def test_options_of_the_background_go_with_a_list_too(tmp_path: Path) -> None:
     cells = planned(asked, tmp_path)
     assert {str(cell.background_options) for cell in cells.cells} == {"{'attack': 'cut-in'}"}
     assert "demand" not in choose_scenes("3").model_dump(mode="json")  # lists keep their digests
+
+
+@pytest.mark.parametrize("kind", ["targets", "policies"])
+def test_a_plug_in_that_raises_while_it_is_made_is_refused_with_its_line(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = "class Fails:\n    def __init__(self):\n        raise RuntimeError('no licence')\n"
+    (tmp_path / "fails_at_once.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    asked = request().model_copy(update={kind: ("fails_at_once:Fails",)})
+    said = r"'fails_at_once:Fails' cannot be made: RuntimeError: no licence \(fails_at_once\.py, line 3, __init__\)"
+    with pytest.raises(ConfigError, match=said):
+        check_request(asked)
 
 
 NEEDS_A_FILE = """

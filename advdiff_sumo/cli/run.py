@@ -93,8 +93,9 @@ def run(
     options = options_given(config or resumed, chosen | {"seed": seed}, policy, assign or [], defect)
     prepared, notes = _prepared(options, gui)
     console = terminal(quiet=quiet or as_json)
-    folder = _resumed_or_new(console, prepared, notes, out, resumed)
-    with explains_how_to_continue(lambda: _resume_command(folder)), ExitStack() as stack:
+    with ExitStack() as stack:
+        folder = _resumed_or_new(stack, console, prepared, notes, out, resumed)
+        stack.enter_context(explains_how_to_continue(lambda: _resume_command(folder)))
         limits = limits_of(stack, math.inf, plan_timeout, memory)
         stack.callback(_draw_report, folder.path, not no_report)
         count = _run_episodes(prepared, folder, console, limits, quiet, retry_failed)
@@ -102,15 +103,26 @@ def run(
 
 
 def _resumed_or_new(
-    console: Console, prepared: Run, notes: Iterable[str], out: Path | None, resumed: Path | None
+    stack: ExitStack,
+    console: Console,
+    prepared: Run,
+    notes: Iterable[str],
+    out: Path | None,
+    resumed: Path | None,
 ) -> RunFolder:
-    """Return the folder of the run, and print *notes*.
+    """Return the folder of the run, and print *notes*; until *stack* is left no other run may write into it.
 
     It is that of the settings file *resumed*, with a note if code has changed since; None: a new folder.
     """
+    from advdiff_sumo.sweep.sole_writer import sole_writer  # late, as above
+
+    if resumed:
+        stack.enter_context(sole_writer(resumed.parent))
     before = read_toml(resumed).get("run", {}) if resumed else {}
     folder = _folder(prepared, out, resumed is not None)
-    if resumed:
+    if not resumed:
+        stack.enter_context(sole_writer(folder.path))
+    else:
         tell_changed_code(read_toml(resumed)["run"], before)
     print_notes(console, notes)
     return folder

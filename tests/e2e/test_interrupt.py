@@ -89,6 +89,25 @@ def test_ctrl_c_keeps_what_has_finished(
 
 
 @pytest.mark.slow
+def test_a_run_that_another_process_continues_is_refused_until_that_ends(
+    waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path
+) -> None:
+    folder, process = waiting
+    second = advdiff("run", "--resume", "--out", "run", cwd=folder)
+    assert second.code == 2
+    assert second.err == (
+        "error: run: another run is writing into it; wait for its end, or choose a new --out\n"
+    )
+    (folder / "hold").unlink()
+    _, said = process.communicate(timeout=HANG_S)
+    assert process.returncode == 0, said
+    assert bytes_of(folder / "run") == bytes_of(undisturbed)
+    again = advdiff("run", "--resume", "--out", "run", cwd=folder)
+    assert again.code == 0, again.err
+    assert bytes_of(folder / "run") == bytes_of(undisturbed)
+
+
+@pytest.mark.slow
 def test_sigterm_ends_a_run_in_the_same_way_as_ctrl_c(
     waiting: tuple[Path, subprocess.Popen[str]], undisturbed: Path
 ) -> None:

@@ -134,9 +134,7 @@ def scene_of(folder: Path, episode: int | None) -> ExportScene:
 
     finished = FinishedRun.read(folder)
     if episode is None:
-        numbers = [int(row["episode"]) for row in finished.episodes]
-        hint = f"{folder} has {numbers[0]} to {numbers[-1]}" if numbers else f"{folder} has none"
-        raise ConfigError(f"say which episode with --episode; {hint}")
+        raise ConfigError(f"say which episode with --episode; {folder} has {finished.numbers_text}")
     row = finished.row(episode)
     states = finished.states(episode)
     if states is None:

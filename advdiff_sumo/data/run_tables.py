@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ class RunTables:
     Attributes:
         folder: path of the folder.
         error: class of the errors to raise.
-        remedy: remedy that these errors state.
+        remedy: remedy that these errors state, but for tables of a sweep, which ``results`` writes again.
     """
 
     folder: Path
@@ -127,7 +128,9 @@ class RunTables:
 
     def _unusable(self, path: Path, error: Exception) -> FileError:
         is_missing = isinstance(error, FileNotFoundError)
-        return self.error(path, "is missing" if is_missing else f"is damaged ({_line(error)})", self.remedy)
+        problem = "is missing" if is_missing else f"is damaged ({_line(error)})"
+        again = f"advdiff-sumo results {shlex.quote(str(self.folder))} writes it again"
+        return self.error(path, problem, again if self.is_sweep else self.remedy)
 
 
 def _line(error: Exception) -> str:

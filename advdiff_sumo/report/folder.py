@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 
 from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.wording import in_ranges
 from advdiff_sumo.data.episode_states import STATE_COLUMNS, EpisodeStates, states_of
 from advdiff_sumo.data.run_tables import RUN_PARTS, RunTables
 from advdiff_sumo.metrics.arrow_tables import upgraded_table
@@ -127,9 +128,12 @@ class FinishedRun:
         for row in self.episodes:
             if row["episode"] == episode:
                 return row
-        numbers = [int(row["episode"]) for row in self.episodes]
-        has = f"it has {numbers[0]} to {numbers[-1]}" if numbers else "it has none"
-        raise FileError(self.folder, f"has no episode {episode}", has)
+        raise FileError(self.folder, f"has no episode {episode}", f"it has {self.numbers_text}")
+
+    @property
+    def numbers_text(self) -> str:
+        """Numbers of the episodes for a sentence: "none", "0" or "0 to 3"."""
+        return in_ranges([int(row["episode"]) for row in self.episodes]) if self.episodes else "none"
 
     def worst_row(self) -> Row:
         """Return the row of the episode that comes first in a report.

@@ -94,8 +94,7 @@ def read_rows(folder: Path, table: str) -> list[dict[str, Any]]:
     Raises:
         FileError: it is missing or damaged.
     """
-    tables = RunTables(folder, remedy="repeat advdiff-sumo results")
-    rows: list[dict[str, Any]] = tables.rows(table).to_pylist()
+    rows: list[dict[str, Any]] = RunTables(folder).rows(table).to_pylist()
     return rows
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from advdiff_sumo.core.wording import counted, in_series
+from advdiff_sumo.core.wording import counted, in_ranges, in_series
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,17 @@ def test_the_noun_agrees_with_its_count(count: int, noun: str, words: str) -> No
 )
 def test_words_are_listed_as_a_sentence_lists_them(words: list[str], expected: str) -> None:
     assert in_series(words) == expected
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        ([0], "0"),
+        ([0, 1], "0 to 1"),
+        ([0, 1, 2, 3, 5, 7], "0 to 3, 5 and 7"),
+        ([4, 6, 7], "4 and 6 to 7"),
+        (range(0, 100, 2), "50 of 0 to 98"),
+    ],
+)
+def test_numbers_are_told_as_ranges(numbers: list[int], expected: str) -> None:
+    assert in_ranges(numbers) == expected

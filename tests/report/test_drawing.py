@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -80,6 +82,17 @@ def test_close_up_is_of_the_contact_where_the_episode_goes_on() -> None:
 def test_no_such_episode(two_episodes: Path, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="has no episode 9; it has 0 to 1"):
         figure(two_episodes, 9, tmp_path / "a.svg")
+
+
+def test_only_episodes_that_are_there_are_named(
+    make_folder: Callable[..., Path], rows: Any, tmp_path: Path
+) -> None:
+    """Episode 1 failed before its first instant, or its file of a sweep is damaged."""
+    folder = make_folder(
+        [rows.episode(0), rows.episode(2)], [], rows.drive(0, "ego", 0.0, 0.0, 10.0, target=True)
+    )
+    with pytest.raises(FileError, match=r"has no episode 1; it has 0 and 2$"):
+        figure(folder, 1, tmp_path / "a.svg")
 
 
 def test_ending_is_checked_before_anything_is_read(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.report.folder import FinishedRun
 from advdiff_sumo.report.histograms import histograms
 from advdiff_sumo.report.labels import Labels
@@ -36,6 +37,20 @@ def test_reads_what_tells_the_episodes_apart(run: FinishedRun) -> None:
         ("lane_graph", "sumo"),
         ("lane_graph", "replay"),
     ]
+
+
+@pytest.mark.parametrize("content", [None, b"PAR1"], ids=["missing", "damaged"])
+def test_a_table_of_a_sweep_that_cannot_be_read_names_the_command_that_writes_it_again(
+    sweep_folder: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    folder = shutil.copytree(sweep_folder, tmp_path / "own sweep")
+    (folder / "states.parquet").unlink()
+    if content is not None:
+        (folder / "states.parquet").write_bytes(content)
+    with pytest.raises(
+        FileError, match=r"states\.parquet: is .*; advdiff-sumo results '.*/own sweep' writes it"
+    ):
+        FinishedRun.read(folder)
 
 
 def test_its_settings_are_a_sweep_file(sweep_folder: Path) -> None:

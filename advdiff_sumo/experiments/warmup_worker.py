@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -115,7 +116,7 @@ def _learn_failures(options: RunOptions, steps: int, out: Path, on_progress: Pro
     return [
         f"{counted(result.plans, 'plan')} in {counted(result.episodes, 'episode')}, {encounters}",
         f"expected to fail in: {probabilities}",
-        f"use it with run --background {options.background} --reward {out}",
+        f"use it with run --background {options.background} --reward {shlex.quote(str(out))}",
     ]
 
 
@@ -131,5 +132,6 @@ def _refit_reward(options: RunOptions, steps: int, out: Path, on_progress: Progr
     return [
         f"{plans}, {counted(result.contacts, 'collision')}; "
         f"loss {fmean(early_losses or late_losses):.4f} → {fmean(late_losses):.4f}",
-        f"reward model: {out}  ·  use it with run --background diffusion --licence reckless --reward {out}",
+        f"reward model: {out}  ·  use it with run --background diffusion --licence reckless "
+        f"--reward {shlex.quote(str(out))}",
     ]

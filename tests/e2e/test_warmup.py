@@ -24,14 +24,15 @@ SCENE = (
 
 @pytest.mark.slow
 def test_a_warm_up_and_a_run_that_uses_it(tmp_path: Path) -> None:
-    for name in ("seen", "again"):
+    for name in ("seen", "seen again"):
         made = advdiff(
             "warmup", *SHORT, *SCENE, "--steps", "12", "--out", f"{name}.safetensors", cwd=tmp_path
         )
         assert made.code == 0, made.err
         assert "12 plans in 2 episodes" in made.out
         assert "expected to fail in: " in made.out
-    first, second = (tmp_path / f"{name}.safetensors" for name in ("seen", "again"))
+    assert "use it with run --background scripted --reward 'seen again.safetensors'\n" in made.out
+    first, second = (tmp_path / f"{name}.safetensors" for name in ("seen", "seen again"))
     assert first.read_bytes() == second.read_bytes()
     run = ("run", *SHORT, *SCENE, "--background", "scripted", "--episodes", "1", "--quiet")
     for name in ("run", "rerun"):

@@ -29,7 +29,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            problem = "another run is writing into it"
+            problem = "another process is writing into it"
             raise FileError(folder, problem, "wait for its end, or choose a new --out") from None
         except OSError:  # a disk without locks
             pass

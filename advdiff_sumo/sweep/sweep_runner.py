@@ -15,6 +15,7 @@ from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan
 from advdiff_sumo.sweep.rounds import chosen_so_far, rounds
 from advdiff_sumo.sweep.scheduler import EpisodeListener, Scheduler
+from advdiff_sumo.sweep.sole_writer import sole_writer
 from advdiff_sumo.sweep.sweep_store import Store
 from advdiff_sumo.sweep.tasks import Failed
 
@@ -96,7 +97,9 @@ def open_store(path: Path, plan: SweepPlan, workers: int, resume: bool) -> Store
     """
     ballast = _BALLAST_BYTES_A_SLOT * (workers + 1)
     if resume:
-        return Store.resume(path, plan.spec, settings_of(plan), ballast)
+        Store.open(path)
+        with sole_writer(path):
+            return Store.resume(path, plan.spec, settings_of(plan), ballast)
     return Store.create(path, settings_of(plan), ballast)
 
 
@@ -119,8 +122,20 @@ def run_sweep(
         on_episode: called with every stored episode.
 
     Raises:
-        FileError: results cannot be stored; finished episodes are kept.
+        FileError: results cannot be stored, or another process writes into the folder; finished episodes are kept.
     """
+    with sole_writer(store.path):
+        return _run_parts(plan, store, todo, executor, retries, on_episode)
+
+
+def _run_parts(
+    plan: SweepPlan,
+    store: Store,
+    todo: RemainingJobs,
+    executor: Executor,
+    retries: int,
+    on_episode: EpisodeListener,
+) -> int:
     try:
         with executor:
             for present, jobs in _parts(plan, store, todo):

@@ -96,7 +96,7 @@ def test_a_run_that_another_process_continues_is_refused_until_that_ends(
     second = advdiff("run", "--resume", "--out", "run", cwd=folder)
     assert second.code == 2
     assert second.err == (
-        "error: run: another run is writing into it; wait for its end, or choose a new --out\n"
+        "error: run: another process is writing into it; wait for its end, or choose a new --out\n"
     )
     (folder / "hold").unlink()
     _, said = process.communicate(timeout=HANG_S)

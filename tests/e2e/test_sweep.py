@@ -16,6 +16,7 @@ from defusedxml.ElementTree import parse
 
 import advdiff_sumo as ads
 from advdiff_sumo.cli.interruption import KEPT
+from advdiff_sumo.sweep.sole_writer import sole_writer
 from tests.e2e.commands import Outcome, advdiff, begin
 from tests.hang_guard import HANG_S
 
@@ -166,6 +167,21 @@ def test_a_target_of_ones_own_in_place_of_those_in_the_file(
         "sweep", "small.toml", "--resume", "own", "--target", "IDM"
     )
     assert "did you mean 'careful'" in refused("sweep", "small.toml", "--target", "carefull")
+
+
+def test_only_one_process_writes_into_the_folder_of_a_sweep(
+    sweeps: Path, here: Callable[..., Outcome], refused: Callable[..., str]
+) -> None:
+    assert here("sweep", "small.toml", "--executor", "serial", "--limit", "1", "--out", "part").code == 0
+    before = {path: path.read_bytes() for path in (sweeps / "part").glob("*.parquet")}
+    with sole_writer(sweeps / "part"):
+        said = refused("sweep", "--resume", "part", "--executor", "serial")
+    assert said.splitlines()[-1] == (
+        "error: part: another process is writing into it; wait for its end, or choose a new --out"
+    )
+    assert {path: path.read_bytes() for path in (sweeps / "part").glob("*.parquet")} == before
+    assert here("sweep", "--resume", "part", "--executor", "serial").code == 0
+    assert pq.read_metadata(sweeps / "part" / "episodes.parquet").num_rows == 6
 
 
 def test_results_by_situation(

@@ -125,27 +125,16 @@ def run_sweep(
         FileError: results cannot be stored, or another process writes into the folder; finished episodes are kept.
     """
     with sole_writer(store.path):
-        return _run_parts(plan, store, todo, executor, retries, on_episode)
-
-
-def _run_parts(
-    plan: SweepPlan,
-    store: Store,
-    todo: RemainingJobs,
-    executor: Executor,
-    retries: int,
-    on_episode: EpisodeListener,
-) -> int:
-    try:
-        with executor:
-            for present, jobs in _parts(plan, store, todo):
-                Scheduler(present, store, executor, retries, on_episode).run(jobs)
-        present = chosen_so_far(plan, store)
-        missing = consolidate(store, present) + plan.episode_count - len(present.jobs)
-    finally:
-        store.drop_ballast()
-    if not missing:
-        store.end()
+        try:
+            with executor:
+                for present, jobs in _parts(plan, store, todo):
+                    Scheduler(present, store, executor, retries, on_episode).run(jobs)
+            present = chosen_so_far(plan, store)
+            missing = consolidate(store, present) + plan.episode_count - len(present.jobs)
+        finally:
+            store.drop_ballast()
+        if not missing:
+            store.end()
     return missing
 
 

@@ -184,6 +184,23 @@ def test_only_one_process_writes_into_the_folder_of_a_sweep(
     assert pq.read_metadata(sweeps / "part" / "episodes.parquet").num_rows == 6
 
 
+@pytest.mark.slow
+def test_every_case_of_the_thorough_sweep_has_scenes(tmp_path: Path) -> None:
+    shipped = Path(__file__).parents[2] / "scenarios" / "sweeps" / "thorough.toml"
+    short = (
+        shipped.read_text()
+        .replace("episodes = 15", "episodes = 1")
+        .replace("horizon_s = 20.0", "horizon_s = 2.0")
+    )
+    assert short.count("\nepisodes = 1\nhorizon_s = 2.0\n") == 1
+    (tmp_path / "short.toml").write_text(short)
+    done = advdiff("sweep", "short.toml", "--target", "careful", "--out", "out", "--no-report", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = pq.read_table(tmp_path / "out" / "episodes.parquet", columns=["target", "end"]).to_pylist()
+    assert len(rows) == short.count("[[cases]]")
+    assert {row["end"] for row in rows} <= {"horizon", "arrived"}
+
+
 def test_results_by_situation(
     sweeps: Path, here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:

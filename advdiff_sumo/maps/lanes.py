@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, TypeAlias, get_args
 
 from sumolib.net.lane import SUMO_ROAD_MOTOR_CLASSES
 
 from advdiff_sumo.core.arrays import FloatArray, read_only
 from advdiff_sumo.core.polylines import Polyline
+
+Side: TypeAlias = Literal["left", "right"]
+"""The driver's left or right."""
+SIDES: tuple[Side, ...] = get_args(Side)
 
 
 def edge_of_lane(lane_id: str) -> str:
@@ -122,6 +127,14 @@ class Lane:
     def line(self) -> Polyline:
         """The centre line, with arc lengths."""
         return Polyline.of(self.centre_xy_m)
+
+
+def lanes_beside(lanes: Mapping[str, Lane], lane_id: str, side: Side) -> Iterator[Lane]:
+    """Yield the lanes of the same edge on one side of *lane_id*, the nearest first."""
+    lane = lanes[lane_id]
+    while (name := lane.left_id if side == "left" else lane.right_id) is not None:
+        lane = lanes[name]
+        yield lane
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import Polyline, kept_points
-from advdiff_sumo.maps.lanes import Edge, Lane, Link
+from advdiff_sumo.maps.lanes import SIDES, Edge, Lane, Link, lanes_beside
 
 _SAME_M = 1e-6  # arc lengths that differ by less are equal
 _SHORTEST_M = 0.01  # length of the shortest path
@@ -129,22 +129,15 @@ class PathFinder:
 
     def _offset(self, lane_id: str, goals: Sequence[str]) -> int:
         """Return the least number of lane changes (left positive) from *lane_id* to one of the lanes *goals*."""
-        left, right = self._row(lane_id, left=True), self._row(lane_id, left=False)
+        left, right = (
+            [lane_id, *(lane.id for lane in lanes_beside(self._lanes, lane_id, side))] for side in SIDES
+        )
         for changes in range(max(len(left), len(right))):
             if right[changes : changes + 1] and right[changes] in goals:
                 return -changes
             if left[changes : changes + 1] and left[changes] in goals:
                 return changes
         return 0
-
-    def _row(self, lane_id: str, *, left: bool) -> list[str]:
-        """Return *lane_id* and the lanes on one side of it, the nearest first."""
-        row: list[str] = []
-        lane: str | None = lane_id
-        while lane is not None and lane not in row:
-            row.append(lane)
-            lane = self._lanes[lane].left_id if left else self._lanes[lane].right_id
-        return row
 
     def paths(self, start_lane: str, start_s_m: float, horizon_m: float) -> list[LanePath]:
         """Return the paths from *start_lane* and from the other lanes of its edge, by their distance in lanes.

@@ -15,6 +15,7 @@ _ACTIONS: Mapping[str, str] = {
     "slow-merge": "merge slowly before it",
     "pull-out": "pull out before it",
     "close-pass": "pass it on the lane beside",
+    "blind-spot": "stay in its blind spot",
     "short-gaps": "cross its way one after the other",
     "rear-end": "run into its rear",
     "head-on": "meet it head-on",
@@ -30,6 +31,7 @@ _SUITED_SITUATIONS: Mapping[str, str] = {
     "crossing": "yielding",
     "short-gaps": "yielding",
     "close-pass": "merging",
+    "blind-spot": "merging",
 }
 """Attack → situation of the target in which it mostly takes place."""
 

@@ -29,7 +29,7 @@ from advdiff_sumo.sim.session import Session
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.sumo_perception import read_signals, watch_signals
 from advdiff_sumo.sim.target import PlannerDrive, SumoDrive
-from advdiff_sumo.sim.target_choice import remaining_route
+from advdiff_sumo.sim.target_route import remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register
 from advdiff_sumo.traffic.policy_protocol import moves_everywhere
 

@@ -16,7 +16,7 @@ from advdiff_sumo.sim.actuate import Actuator
 from advdiff_sumo.sim.background_control import MovedMotion
 from advdiff_sumo.sim.headway_relaxation import HeadwayRelaxation
 from advdiff_sumo.sim.sim_options import SimOptions
-from advdiff_sumo.sim.target_choice import remaining_route
+from advdiff_sumo.sim.target_route import remaining_route
 from advdiff_sumo.sim.world import World, stack
 
 # largest heading error of a release; SUMO turns a vehicle along its lane in its first step

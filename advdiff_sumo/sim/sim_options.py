@@ -9,7 +9,15 @@ from pydantic import Field, model_validator
 from advdiff_sumo.config import Options
 
 Situation: TypeAlias = Literal[
-    "any", "following", "merging", "yielding", "turning", "oncoming", "red-light", "yellow"
+    "any",
+    "following",
+    "merging",
+    "lane-change",
+    "yielding",
+    "turning",
+    "oncoming",
+    "red-light",
+    "yellow",
 ]
 """Situation of the target when an episode begins."""
 
@@ -77,8 +85,8 @@ class SceneOptions(Options):
         min_neighbours: vehicles that must be within 50 m of the target at the start.
         min_route_m: route that the target must have ahead.
         min_speed_mps: lowest speed of the target at the start.
-        situation: what the target must be about to do at the start: following, merging, yielding, turning,
-            oncoming, red-light, yellow, or any.
+        situation: what the target must be about to do at the start: following, merging, lane-change,
+            yielding, turning, oncoming, red-light, yellow, or any.
         spacing_s: natural traffic between two scenes from one warm-up.
         scenes_per_warmup: scenes taken from one stretch of natural traffic.
         stride_s: spacing of the scenes taken from one driving log.

@@ -20,7 +20,7 @@ _JUNCTION_M = 60.0  # longest distance to the next junction
 _ONCOMING_FROM_M = 15.0  # shortest distance to a junction at which oncoming traffic is to be met
 _REACTION_S, _COMFORTABLE_MPS2 = 1.0, 3.0  # with which a vehicle can stop as its light turns yellow
 _AFTER_YELLOW_S = 3.0  # latest arrival at the line, after the end of the yellow light
-SHORT_LIVED_S: Mapping[Situation, float] = {"yellow": 0.5}
+SHORT_LIVED_S: Mapping[Situation, float] = {"yellow": 0.5, "lane-change": 0.5}
 """Situation that soon passes → time after which it is looked for again."""
 
 
@@ -70,6 +70,7 @@ def in_situation(
             junction, at least 15 m away, and must let oncoming traffic pass, which has no red light. "red-light": it
             is the first before that junction, and its signal is red. "yellow": it is the first there, and its green
             light turns yellow when it can still stop with 3 m/s² after 1 s, and red before it arrives at its speed.
+            "lane-change": always, as :func:`~advdiff_sumo.sim.target_route.lane_change_route` decides.
             "any": always.
         road: the net.
         world: names and lanes of the rows.
@@ -86,7 +87,7 @@ def in_situation(
     return True
 
 
-def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: str) -> list[float]:
+def gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: str) -> list[float]:
     """Return the distances in m, along *lane_id*, from *row* to the vehicles on that lane; negative behind it."""
     line = road.lanes[lane_id].line
     own_s_m = float(line.project(frame.xy_m[row])[0])
@@ -96,13 +97,13 @@ def _gaps_along(road: RoadMap, world: World, frame: Frame, row: int, lane_id: st
 
 def _following(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
     range_m = max(_FOLLOWING_S * float(frame.speed_mps[row]), 10.0)
-    return any(0.0 < gap_m < range_m for gap_m in _gaps_along(road, world, frame, row, world.lane[row]))
+    return any(0.0 < gap_m < range_m for gap_m in gaps_along(road, world, frame, row, world.lane[row]))
 
 
 def _merging(road: RoadMap, world: World, frame: Frame, row: int) -> bool:
     lane = road.lanes[world.lane[row]]
     neighbours = [name for name in (lane.left_id, lane.right_id) if name is not None]
-    gaps_m = (gap_m for name in neighbours for gap_m in _gaps_along(road, world, frame, row, name))
+    gaps_m = (gap_m for name in neighbours for gap_m in gaps_along(road, world, frame, row, name))
     return any(abs(gap_m) < _BESIDE_M for gap_m in gaps_m)
 
 
@@ -168,7 +169,7 @@ def _next_junction(
     link = next(links, None)
     if link is None:
         return None
-    is_first = max(_gaps_along(road, world, frame, row, lane.id), default=0.0) <= 0.0
+    is_first = max(gaps_along(road, world, frame, row, lane.id), default=0.0) <= 0.0
     return _Approach(link, distance_m, float(frame.speed_mps[row]), is_first)
 
 

@@ -26,7 +26,7 @@ from advdiff_sumo.sim.plug_in_guard import PlugInGuard
 from advdiff_sumo.sim.sim_options import SimOptions
 from advdiff_sumo.sim.start import TARGET_TYPE
 from advdiff_sumo.sim.sumo_perception import visible_ids
-from advdiff_sumo.sim.target_choice import remaining_route
+from advdiff_sumo.sim.target_route import remaining_route
 from advdiff_sumo.sim.world import World
 
 _ARRIVAL_M = 6.0

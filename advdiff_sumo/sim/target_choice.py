@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from advdiff_sumo.core.scene import AgentClass
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.situations import SignalChange, Signals, in_situation
+from advdiff_sumo.sim.target_route import lane_change_route, remaining_route, turns_round
 from advdiff_sumo.sim.world import Frame, World
 
 _NEIGHBOUR_RADIUS_M = 50.0
@@ -69,10 +70,26 @@ class TargetChoice:
             rng: draws among the cars.
         """
         usable, lacking = self._usable(api, world, frames)
+        if self.scene.situation == "lane-change":
+            usable = self._rerouted(api, world, frames[-1], rng.permutation(usable).tolist(), rng)
         if usable:
             return int(rng.choice(usable))
         self.lacking[lacking] += 1
         return None
+
+    def _rerouted(
+        self, api: Any, world: World, frame: Frame, rows: Sequence[int], rng: np.random.Generator
+    ) -> list[int]:
+        """Give the first of *rows* that can have one a route that needs a lane change; return that row, or none."""
+        for row in rows:
+            name = world.ids[row]
+            route = remaining_route(api, name, self.road.beyond_rim)
+            changed = lane_change_route(self.road, world, frame, row, route, self.scene.min_route_m, rng)
+            if changed is not None:
+                if changed != route:
+                    api.vehicle.setRoute(name, changed)
+                return [row]
+        return []
 
     @property
     def wanted(self) -> str:
@@ -162,20 +179,6 @@ def _next_change(lights: Any, name: str, now_s: float) -> SignalChange | None:
     following = phases[present].next
     phase = phases[following[0] if following else (present + 1) % len(phases)]
     return SignalChange(phase.state, float(lights.getNextSwitch(name)) - now_s, float(phase.duration))
-
-
-def remaining_route(api: Any, name: str, beyond_rim: Collection[str]) -> tuple[str, ...]:
-    """Return the edges of vehicle *name* from its present edge on, up to the first that lies *beyond_rim*."""
-    vehicle = api.vehicle
-    ahead = vehicle.getRoute(name)[max(vehicle.getRouteIndex(name), 0) :]
-    return tuple(takewhile(lambda edge: edge not in beyond_rim, ahead))
-
-
-def turns_round(road: RoadMap, before: str, after: str) -> bool:
-    """Return whether all links from *before* to *after* are U-turns: SUMO turns on the spot, a car cannot."""
-    links = (link for lane in road.edges[before].lane_ids for link in road.lanes[lane].successors)
-    directions = {link.direction for link in links if road.lanes[link.to_lane].edge_id == after}
-    return bool(directions) and directions <= {"t", "T"}
 
 
 def _cars(world: World, frames: Sequence[Frame], sim: SimOptions) -> IntArray:

@@ -23,7 +23,8 @@ from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.session import Session, SessionOptions
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
 from advdiff_sumo.sim.situations import SHORT_LIVED_S
-from advdiff_sumo.sim.target_choice import TargetChoice, remaining_route
+from advdiff_sumo.sim.target_choice import TargetChoice
+from advdiff_sumo.sim.target_route import remaining_route
 from advdiff_sumo.sim.world import Frame, World, read, register, stack
 
 _RNG_ELEMENT, _DRAW_COUNT = re.compile(rb"<rngState [^>]*>"), re.compile(rb'([\w.]+)="(\d+)"')

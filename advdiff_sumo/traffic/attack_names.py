@@ -15,6 +15,7 @@ FurtherAttack: TypeAlias = Literal[
     "slow-merge",
     "pull-out",
     "close-pass",
+    "blind-spot",
     "short-gaps",
 ]
 """Attacks under a licence besides "any", "hard-stop" and "cut-in"."""

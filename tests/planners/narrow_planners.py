@@ -54,6 +54,16 @@ class WithoutMirrors(LaneGraphPlanner):
         return super().plan(road, scene.without(hidden & scene.history.valid[:, -1]), memory, rng)
 
 
+class WithoutRearMirror(LaneGraphPlanner):
+    """``lane_graph`` that sees nobody whose centre is 1 m or more behind its own."""
+
+    def plan(self, road: RoadMap, scene: Scene, memory: Any, rng: np.random.Generator) -> tuple[Plan, Any]:
+        """Return the plan of a planner that does not see who is behind."""
+        hidden = (seen_from_target(scene)[0][:, 0] < -1.0) & scene.history.valid[:, -1]
+        hidden[scene.target] = False
+        return super().plan(road, scene.without(hidden), memory, rng)
+
+
 class SetsOffWithoutLooking(LaneGraphPlanner):
     """``lane_graph`` that for 3 s after it has stood sees nobody who heads across its way."""
 

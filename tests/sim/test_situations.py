@@ -23,8 +23,8 @@ from advdiff_sumo.traffic.policy_registry import make_policy
 OPTIONS = SceneOptions(warmup_s=20.0, scenes_per_warmup=3, density_per_km=10.0, min_speed_mps=4.0)
 
 
-def scenes(networks: Path, situation: str) -> tuple[RoadMap, list[SeedScene]]:
-    road = RoadMap.read(networks / "downtown.net.xml")
+def scenes(networks: Path, situation: str, net: str = "downtown") -> tuple[RoadMap, list[SeedScene]]:
+    road = RoadMap.read(networks / f"{net}.net.xml")
     options = SceneOptions.parse({**OPTIONS.model_dump(), "situation": situation})
     source = NaturalTraffic(road, None, options, SimOptions(), 5.0, SeedTree(3))
     return road, source.batch(0)
@@ -72,6 +72,54 @@ def test_a_turning_target_has_a_turn_ahead(networks: Path) -> None:
             if road.lanes[link.to_lane].edge_id == route[1]
         ]
         assert {link.direction.lower() for link in links} <= {"l", "r"}
+
+
+def edges_ahead_without_change(road: RoadMap, lane_id: str, route: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the edges of *route* that can be driven from *lane_id* on without a lane change."""
+    lane = road.lanes[lane_id]
+    for number, following in enumerate(route[1:], 1):
+        beyond = [x.to_lane for x in lane.successors if road.lanes[x.to_lane].edge_id == following]
+        if not beyond:
+            return route[:number]
+        lane = road.lanes[beyond[0]]
+    return route
+
+
+@pytest.mark.parametrize("net", ["downtown", "motorway"])
+def test_a_target_that_must_change_lanes_is_beside_another_vehicle(networks: Path, net: str) -> None:
+    """Straight on it gets off its route within 100 m or 20 s; somebody is beside it, 14 m behind to 5 m ahead."""
+    road, found = scenes(networks, "lane-change", net)
+    for scene in found:
+        now, row, route = scene.history, scene.history.index[scene.target], scene.routes[scene.target]
+        pose = road.locate(now.xy_m[row, -1], float(now.yaw_rad[row, -1]))
+        assert pose is not None
+        edges = edges_ahead_without_change(road, pose.lane_id, route)
+        assert len(edges) < len(route)
+        due_m = sum(road.edges[edge].length_m for edge in edges) - pose.s_m
+        speed_mps = float(now.speed_mps[row, -1])
+        assert max(50.0, 6.0 * speed_mps) - 1.0 < due_m < max(100.0, 20.0 * speed_mps) + 1.0
+        lane = road.lanes[pose.lane_id]
+        along_m, across_m = lane.line.project(now.xy_m[:, -1], extrapolate=True)
+        is_beside = (np.abs(across_m) > 2.0) & (np.abs(across_m) < 5.0)
+        assert (is_beside & (along_m - pose.s_m > -14.5) & (along_m - pose.s_m < 5.5)).any()
+
+
+def test_sumo_drives_a_target_on_the_route_that_needs_a_lane_change(networks: Path) -> None:
+    """In the natural log, one of three targets is on the next edge of its route, or on its lane, after 12 s."""
+    road = RoadMap.read(networks / "downtown-left.net.xml")
+    options = OPTIONS.model_copy(update={"situation": "lane-change"})
+    found = NaturalTraffic(road, None, options, SimOptions(), 15.0, SeedTree(3)).batch(0)
+    driven = []
+    for scene in found:
+        log, row, route = scene.log, scene.log.index[scene.target], scene.routes[scene.target]
+        places = [
+            road.locate(xy, float(yaw), route=list(route))
+            for xy, yaw in zip(log.xy_m[row, log.valid[row]], log.yaw_rad[row, log.valid[row]], strict=True)
+        ]
+        driven.append(
+            {road.lanes[place.lane_id].edge_id for place in places if place is not None} & {route[1]}
+        )
+    assert any(driven)
 
 
 def test_a_target_that_meets_oncoming_traffic_turns_left_with_priority_from_ahead(networks: Path) -> None:

@@ -16,7 +16,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.sim.scene_file import scene_to_bytes
 from advdiff_sumo.sim.seed_scene import SavedTraffic, SeedScene
 from advdiff_sumo.sim.sim_options import SceneOptions, SimOptions
-from advdiff_sumo.sim.target_choice import turns_round
+from advdiff_sumo.sim.target_route import turns_round
 from advdiff_sumo.sim.warmup_scenes import NaturalTraffic, with_draws_since
 from tests import rare_net
 from tests.sim import nets

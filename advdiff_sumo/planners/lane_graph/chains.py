@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TypeAlias
 
 from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.maps import Link, RoadMap
+from advdiff_sumo.maps.lanes import SIDES, lanes_beside
 
 _MAX_EFFORT = 99.0  # of a lane from which the route cannot be followed
 _SHORT_EDGE_M = 40.0  # on an edge of this length, a lane change costs twice the effort
@@ -66,11 +68,9 @@ def _effort_beyond(road: RoadMap, lane: str, k: int, edges: Sequence[str], neede
 def _lanes_beside(road: RoadMap, lane: str, lanes: Sequence[str]) -> list[tuple[str, int]]:
     """Return each lane that lane changes can reach, with their signed number (left positive)."""
     reached = [(lane, 0)]
-    for sign in (1, -1):
-        current, count = lane, 0
-        while (beside := road.lanes[current].left_id if sign > 0 else road.lanes[current].right_id) in lanes:
-            current, count = str(beside), count + 1
-            reached.append((current, sign * count))
+    for side, sign in zip(SIDES, (1, -1), strict=True):
+        beside = takewhile(lambda x: x.id in lanes, lanes_beside(road.lanes, lane, side))
+        reached += [(x.id, sign * count) for count, x in enumerate(beside, 1)]
     return reached
 
 

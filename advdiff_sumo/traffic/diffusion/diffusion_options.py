@@ -37,6 +37,7 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
     "slow-merge": ("slow-merge", "any"),
     "pull-out": ("pull-out", "any"),
     "close-pass": ("close-pass", "any"),
+    "blind-spot": ("blind-spot", "any"),
     "short-gaps": ("short-gaps", "junction"),
 }
 """Attack → its manoeuvre under a licence, and the cost term of the guide."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.agenda import TURN_S, has_red_ahead
+from advdiff_sumo.traffic.manoeuvres.blind_spot import blind_spot
 from advdiff_sumo.traffic.manoeuvres.choice import Chosen, rank
 from advdiff_sumo.traffic.manoeuvres.close_pass import close_pass
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, PATIENCE_S, SUPPORT_KINDS, Commitments
@@ -18,7 +19,7 @@ from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import is_seen_long_enough, response_time_s
 from advdiff_sumo.traffic.manoeuvres.plan_breaches import CARELESS_ALLOWS, plan_breaches
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import with_braking, with_severity
-from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_KINDS, BLIND_SPOT, CLOSE_PASSING, DOUBLE
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import PROPOSALS, can_begin_later
 
@@ -27,8 +28,8 @@ _MIN_MERITS = ((PATIENCE_S, 0.4),)
 _MIN_LEADER_MERITS = ((TURN_S, 0.7), (4.0 * TURN_S, 0.4))
 """The same for a leader that lets the target close up, and that no red light will stop soon."""
 _SOON_S = 0.5  # the follower brakes for a crossing vehicle when the target must respond within this time
-_PROPOSALS = {**PROPOSALS, DOUBLE: hard_stop_in_company, CLOSE_PASSING: close_pass}
-_NEEDS_NO_BRAKING = (*SUPPORT_KINDS, CLOSE_PASSING)
+_PROPOSALS = {**PROPOSALS, DOUBLE: hard_stop_in_company, CLOSE_PASSING: close_pass, BLIND_SPOT: blind_spot}
+_NEEDS_NO_BRAKING = (*SUPPORT_KINDS, *BESIDE_KINDS)
 _FULLY_CHECKED = 4  # number of manoeuvres that are checked in full, best first
 
 

@@ -16,7 +16,7 @@ from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_mask
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, ManoeuvreFutures, futures_of_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import severity_match
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
-    CLOSE_PASSING,
+    BESIDE_KINDS,
     DOUBLE,
     MAX_DEMAND_MPS2,
     SLOW_ENTRIES,
@@ -183,7 +183,7 @@ def _merit(manoeuvre: Manoeuvre, needed_mps2: float, begun: bool) -> float:
     if manoeuvre.is_positioning:
         most = _POSITIONING_DEMAND_MPS2.get(manoeuvre.kind, 1.0)
         return POSITIONING_MERIT if needed_mps2 <= most else 0.0
-    if manoeuvre.kind == CLOSE_PASSING:
+    if manoeuvre.kind in BESIDE_KINDS:
         return float(needed_mps2 == 0.0)  # the target need only keep its lane
     if manoeuvre.kind == "cut-in":
         return CUT_IN_MERIT.get(needed_mps2, 0.0)

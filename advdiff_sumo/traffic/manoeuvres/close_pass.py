@@ -20,7 +20,7 @@ from advdiff_sumo.traffic.manoeuvres.required_braking import TargetWay
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_entries import kerb_side
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
-from advdiff_sumo.traffic.manoeuvres.target_lane_change import target_entering
+from advdiff_sumo.traffic.manoeuvres.target_lane_change import required_side, target_entering
 
 SLOW_LEADER = "slow-leader"
 """Kind of manoeuvre of the leader that the target would like to overtake."""
@@ -43,8 +43,8 @@ def close_pass(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     if target is None or min(target.speed_mps, view.speed(row)) < MIN_STOPPING_SPEED_MPS:
         return
     passing = _passing(view, target, row) if row in passing_rows(view) else None
-    if passing is not None and not _lets_in(view, row):
-        is_far = _bumper_gap_m(view, row) > _BEGINS_M
+    if passing is not None and not lets_in(view, row):
+        is_far = bumper_gap_m(view, row) > _BEGINS_M
         yield replace(passing, is_positioning=is_far)
 
 
@@ -53,15 +53,19 @@ def continued_pass(view: SituationView, row: int) -> Manoeuvre | None:
     target = view.target
     if target is None or row not in (*company_rows(view, "left"), *company_rows(view, "right")):
         return None
-    if _is_passed(view, target, row) or _lets_in(view, row):
+    if _is_passed(view, target, row) or lets_in(view, row):
         return None
     return _passing(view, target, row)
 
 
 def pass_sides(view: SituationView) -> Sequence[str]:
-    """Return the sides of the target with a lane on which a vehicle may pass, the overtaking side first."""
+    """Return the sides of the target with a lane on which a vehicle may pass.
+
+    The first is the one to which its route makes it change lanes, otherwise the overtaking side.
+    """
     target = view.target
-    order = ("right", "left") if kerb_side(view) == "left" else ("left", "right")
+    overtaking_side = "right" if kerb_side(view) == "left" else "left"
+    order = sorted(("left", "right"), key=lambda side: side != (required_side(view) or overtaking_side))
     return [side for side in order if target is not None and has_lane_beside(view, target, side)]
 
 
@@ -76,7 +80,7 @@ def slow_leaders(
     if row is None or row in busy or not pass_sides(view):
         return []
     way, speed = view.ways[row], view.speed(row)
-    share = _LEADER_SHARES[any(_bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
+    share = _LEADER_SHARES[any(bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
     slow_mps = max(share * way.lane.speed_mps, MIN_STOPPING_SPEED_MPS)
     bounds = min(slow_mps, speed), max(slow_mps, speed)
     profile = SpeedProfile.adapting(slow_mps, speed, _LEADER_BRAKING_MPS2, _ACCEL_MPS2, *bounds)
@@ -96,7 +100,7 @@ def passing_rows(view: SituationView) -> Sequence[int]:
 def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | None:
     """Return how *row* passes or comes alongside; None if it has not enough room, or may not drive fast enough."""
     way = view.ways[row]
-    gap_m, limit = _bumper_gap_m(view, row), way.lane.speed_mps
+    gap_m, limit = bumper_gap_m(view, row), way.lane.speed_mps
     behind_m, gains_mps = -local_position(view, row)[0], view.speed(row) - target.speed_mps
     direction = np.sign(behind_m if gap_m > 0.0 else gains_mps) or 1.0
     keeps_left_m = _lateral_place_m(view, row)
@@ -120,7 +124,7 @@ def _lateral_place_m(view: SituationView, row: int) -> float | None:
     return float(np.sign(target_left_m) * np.clip(room_m - CLEARANCE_M, -reach_m, reach_m))
 
 
-def _bumper_gap_m(view: SituationView, row: int) -> float:
+def bumper_gap_m(view: SituationView, row: int) -> float:
     """Return the gap along the road between *row* and the target; negative if they are side by side."""
     return view.gap_m(local_position(view, row)[0], row, view.scene.target)
 
@@ -128,12 +132,12 @@ def _bumper_gap_m(view: SituationView, row: int) -> float:
 def _is_passed(view: SituationView, target: TargetWay, row: int) -> bool:
     """Return whether *row* is beyond the target and drives away from it, as the faster or the slower one."""
     away_mps = np.sign(local_position(view, row)[0]) * (view.speed(row) - target.speed_mps)
-    return bool(_bumper_gap_m(view, row) > _ENDS_M and away_mps > 0.0)
+    return bool(bumper_gap_m(view, row) > _ENDS_M and away_mps > 0.0)
 
 
-def _lets_in(view: SituationView, row: int) -> bool:
+def lets_in(view: SituationView, row: int) -> bool:
     """Return whether *row* is behind the target, which is changing to its lane."""
     target, (ahead_m, left_m) = view.target, local_position(view, row)
     if target is None or target_entering(view) is None or left_m * target.way.drift_mps < 0.0:
         return False
-    return ahead_m < 0.0 < _bumper_gap_m(view, row)
+    return ahead_m < 0.0 < bumper_gap_m(view, row)

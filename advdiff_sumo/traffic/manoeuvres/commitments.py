@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.follower import FOLLOWS
 from advdiff_sumo.traffic.manoeuvres.intensity import ANY_SEVERITY, ONCOMING, Intensity
 from advdiff_sumo.traffic.manoeuvres.obstruction import WAITS
 from advdiff_sumo.traffic.manoeuvres.priority_traffic import SHORT_GAPS
-from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, KINDS, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_KINDS, DOUBLE, KINDS, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import SpeedProfile
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory
@@ -22,7 +22,7 @@ from advdiff_sumo.traffic.manoeuvres.standing_traffic import QUEUE, StandingTraf
 
 ANY_KINDS = tuple(KINDS)
 """Kinds in an episode of "any"; if ``SLOW_ENTRIES`` are added here, these get turns, too."""
-UNPREDICTED_KINDS = (QUEUE, DOUBLE, CLOSE_PASSING, SHORT_GAPS, *SLOW_ENTRIES)
+UNPREDICTED_KINDS = (QUEUE, DOUBLE, *BESIDE_KINDS, SHORT_GAPS, *SLOW_ENTRIES)
 """Kinds for which no failures are predicted, so that a warm-up learns nothing of them."""
 CROSSING_ATTACKS = (ONCOMING, SHORT_GAPS)
 """Attacks whose manoeuvres are crossings, and recorded as such."""

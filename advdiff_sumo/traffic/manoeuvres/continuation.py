@@ -11,6 +11,7 @@ from advdiff_sumo.core.frames import wrap_angle
 from advdiff_sumo.metrics.breaches.lane_rules import SAME_WAY_RAD
 from advdiff_sumo.metrics.lane_entry import INTRUSION_M
 from advdiff_sumo.traffic.licence import Licence
+from advdiff_sumo.traffic.manoeuvres.blind_spot import blind_spot
 from advdiff_sumo.traffic.manoeuvres.choice import rank
 from advdiff_sumo.traffic.manoeuvres.close_pass import continued_pass
 from advdiff_sumo.traffic.manoeuvres.commitments import LEADER_KINDS, SUPPORT_KINDS, Commitment, Commitments
@@ -22,6 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, futures_of_mano
 from advdiff_sumo.traffic.manoeuvres.oncoming import suited_crossings
 from advdiff_sumo.traffic.manoeuvres.prescribed_severity import target_brakes
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
+    BLIND_SPOT,
     CLOSE_PASSING,
     DOUBLE,
     ENDS_STANDING,
@@ -45,6 +47,7 @@ _MAX_DURATION_S: Mapping[str, float] = {
     SLOW_MERGE: 10.0,
     PULL_OUT: 12.0,
     CLOSE_PASSING: 14.0,
+    BLIND_SPOT: 14.0,
 }
 _DEFAULT_MAX_DURATION_S = 7.0
 _OVER_LINE_M = 0.2  # a box that reaches so far into the goal lane has entered it
@@ -92,6 +95,8 @@ def _remaining(
         return None  # the target has left its lane, or has passed the leader
     if under_way.kind == CLOSE_PASSING:
         return continued_pass(view, row)
+    if under_way.kind == BLIND_SPOT:
+        return next(blind_spot(view, row), None)
     return _remaining_motion(view, row, under_way, memory, licence)
 
 

@@ -28,6 +28,10 @@ ENDS_STANDING = (*STOPPING_KINDS, "cut-in")
 """Kinds after which the attacker may stand in the target's lane."""
 CLOSE_PASSING = "close-pass"
 """The kind of a vehicle that passes on the lane beside, see ``close_pass``."""
+BLIND_SPOT = "blind-spot"
+"""The kind of a vehicle that stays beside and a little behind the target, see ``blind_spot``."""
+BESIDE_KINDS = (CLOSE_PASSING, BLIND_SPOT)
+"""Kinds on the lane beside, which demand nothing of a target that keeps its lane."""
 SLOW_MERGE, PULL_OUT = "slow-merge", "pull-out"
 SLOW_ENTRIES = (SLOW_MERGE, PULL_OUT)
 """Kinds that enter the target's lane at much less than its speed, and drive on; see ``slow_entries``."""

@@ -14,7 +14,7 @@ from advdiff_sumo.traffic.manoeuvres.continuation import continue_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre
 from advdiff_sumo.traffic.manoeuvres.obstruction import blocked_since, waiting_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import in_view_since
-from advdiff_sumo.traffic.manoeuvres.repertoire import CLOSE_PASSING, DOUBLE, SLOW_ENTRIES
+from advdiff_sumo.traffic.manoeuvres.repertoire import BESIDE_KINDS, DOUBLE, SLOW_ENTRIES
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.slow_places import insert_slow_vehicle
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import PLAN_DT_S
@@ -52,7 +52,7 @@ def update_manoeuvres(
     kinds, busy = memory.startable_kinds(view), {m.row for m in driven}
     company = company_manoeuvres(view, busy, licence) if DOUBLE in kinds else []
     roles = {names[m.row]: DOUBLE for m in company}
-    leaders = slow_leaders(view, busy, licence) if CLOSE_PASSING in kinds else []
+    leaders = slow_leaders(view, busy, licence) if set(BESIDE_KINDS) & set(kinds) else []
     memory = replace(memory, company={**roles, **{names[m.row]: m.kind for m in leaders}})
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     attackers_begun = {name for name, under_way in begun.items() if not under_way.is_positioning}

@@ -27,7 +27,7 @@ from advdiff_sumo.traffic.manoeuvres.priority_traffic import (
     priority_approaches,
 )
 from advdiff_sumo.traffic.manoeuvres.repertoire import (
-    CLOSE_PASSING,
+    BESIDE_KINDS,
     DOUBLE,
     HEADWAY_S,
     MIN_STOPPING_SPEED_MPS,
@@ -145,7 +145,7 @@ def insert_newcomers(
     for candidates in (newcomers for kind, newcomers in roles.items() if kind in kinds):
         room = min(1, stage.most - stage.count - len(taken))
         taken += islice((newcomer for newcomer in candidates if _is_free(view, newcomer, taken)), room)
-    if CLOSE_PASSING in kinds:
+    if any(kind in kinds for kind in BESIDE_KINDS):
         taken += _leader_and_passing(view, stage)
     if DOUBLE in kinds:
         taken += _leader_and_company(view, stage)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.plan import JointPlan
 from advdiff_sumo.core.scene import Tracks
-from advdiff_sumo.maps.lanes import Lane
+from advdiff_sumo.maps.lanes import SIDES, Lane, lanes_beside
 from advdiff_sumo.traffic.manoeuvres.ordinary_driving import ORDINARY_DRIVING_S
 from advdiff_sumo.traffic.manoeuvres.repertoire import PULL_OUT, SLOW_ENTRIES, SLOW_MERGE
 from advdiff_sumo.traffic.manoeuvres.required_braking import REACTION_S
@@ -184,12 +185,8 @@ def _queue_distance_m(closing_mps: float) -> float:
 def _lanes_abreast(view: SituationView, lane: Lane) -> Iterator[Lane]:
     """Yield *lane* and the lanes beside it in the same direction."""
     yield lane
-    lanes = view.road.lanes
-    for to_left in (True, False):
-        name = lane.left_id if to_left else lane.right_id
-        while name is not None and lanes[name].is_drivable:
-            yield lanes[name]
-            name = lanes[name].left_id if to_left else lanes[name].right_id
+    for side in SIDES:
+        yield from takewhile(lambda beside: beside.is_drivable, lanes_beside(view.road.lanes, lane.id, side))
 
 
 def _is_over(view: SituationView, members: tuple[Newcomer, ...], kind: str) -> bool:

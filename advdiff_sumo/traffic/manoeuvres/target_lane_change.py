@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
+from advdiff_sumo.maps.lanes import SIDES, Side, lanes_beside
 from advdiff_sumo.traffic.manoeuvres.required_braking import BRAKING_MPS2, TargetWay, needed_braking
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.ways import Way
@@ -54,6 +56,22 @@ def blocks_lane_change(
     needed = needed_braking(changing, xy_m[away], yaw_rad[away], sizes, np.zeros(len(away)))
     blocks[away] = needed > BRAKING_MPS2[-1]
     return blocks
+
+
+def required_side(view: SituationView) -> Side | None:
+    """Return the side to which the target has to change lanes for its route, the nearer one; None if to neither."""
+    target, row = view.target, view.scene.target
+    if target is None or _keeps_route(view, target.way):
+        return None
+    lane, s_m = target.way.present_lane, target.way.lane.s_m
+    changes: dict[Side, int] = {}
+    for side in SIDES:
+        beside = takewhile(lambda x: x.is_drivable, lanes_beside(view.road.lanes, lane.id, side))
+        for count, goal in enumerate(beside, 1):
+            way = view.way_from(goal.line.at(min(s_m, goal.length_m)), view.scene.routes[row])
+            if way is not None and _keeps_route(view, way):
+                changes.setdefault(side, count)
+    return min(changes, key=lambda side: changes[side], default=None)
 
 
 def _target_that_must_change(view: SituationView) -> TargetWay | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,3 +61,13 @@ def view_of(road: RoadMap, time_s: float = 0.0, **cars: tuple[int, float, float]
     right = long_lane(road)
     lanes = [road.lanes[name] for name in road.edges[right.edge_id].lane_ids]
     return SituationView.of(road, scene_on({n: (lanes[k], s, v) for n, (k, s, v) in cars.items()}, time_s))
+
+
+def shifted(view: SituationView, row: int, left_m: float, drift_mps: float = 0.0) -> SituationView:
+    """Return *view* with *row* *left_m* beside its place, where it has moved with *drift_mps*."""
+    history = view.scene.history
+    normal = np.array((-np.sin(history.yaw_rad[row, -1]), np.cos(history.yaw_rad[row, -1])))
+    past_s = history.dt_s * np.arange(1 - history.steps, 1)
+    xy = history.xy_m.copy()
+    xy[row] += (left_m + drift_mps * past_s)[:, None] * normal
+    return SituationView.of(view.road, replace(view.scene, history=replace(history, xy_m=xy)))

@@ -23,7 +23,7 @@ from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
 from advdiff_sumo.traffic.manoeuvres.speed_profiles import CHECK_TIMES_S
 from advdiff_sumo.traffic.manoeuvres.staging import StagingMemory, insert_newcomers
 from tests.sim.nets import build
-from tests.traffic.manoeuvres.scenes import lane_alone, scene_on, view_of
+from tests.traffic.manoeuvres.scenes import lane_alone, scene_on, shifted, view_of
 
 TARGET = {"target": (0, 100.0, 20.0)}
 
@@ -31,16 +31,6 @@ TARGET = {"target": (0, 100.0, 20.0)}
 def beside(ahead_m: float, speed_mps: float) -> dict[str, tuple[int, float, float]]:
     """Return a vehicle on the lane to the left, *ahead_m* of the target."""
     return {"other": (1, 100.0 + ahead_m, speed_mps)}
-
-
-def shifted(view: SituationView, row: int, left_m: float, drift_mps: float = 0.0) -> SituationView:
-    """Return *view* with *row* *left_m* beside its place, where it has moved with *drift_mps*."""
-    history = view.scene.history
-    normal = np.array((-np.sin(history.yaw_rad[row, -1]), np.cos(history.yaw_rad[row, -1])))
-    past_s = history.dt_s * np.arange(1 - history.steps, 1)
-    xy = history.xy_m.copy()
-    xy[row] += (left_m + drift_mps * past_s)[:, None] * normal
-    return SituationView.of(view.road, replace(view.scene, history=replace(history, xy_m=xy)))
 
 
 @pytest.mark.parametrize(

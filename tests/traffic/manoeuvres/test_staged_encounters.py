@@ -126,6 +126,8 @@ def test_a_planner_that_tracks_only_the_nearest_runs_into_a_masked_leader(
     ("encounter", "attack", "planner", "breach", "other_attack"),
     [
         ("beside", "close-pass", "WithoutMirrors", "sideways", "hard-stop"),
+        ("beside", "blind-spot", "WithoutMirrors", "sideways", "hard-stop"),
+        ("street", "blind-spot", "WithoutRearMirror", "sideways", "close-pass"),
         ("wait", "short-gaps", "SetsOffWithoutLooking", "right_of_way", "crossing"),
     ],
 )

@@ -31,7 +31,7 @@ _SUITED_SITUATIONS: Mapping[str, str] = {
     "crossing": "yielding",
     "short-gaps": "yielding",
     "close-pass": "merging",
-    "blind-spot": "merging",
+    "blind-spot": "lane-change",
 }
 """Attack → situation of the target in which it mostly takes place."""
 

@@ -35,15 +35,9 @@ def blind_spot(view: SituationView, row: int) -> Iterator[Manoeuvre]:
     way, half_lengths_m = view.ways[row], 0.5 * float(view.size(row)[0] + target.size_m[0])
     off_m = OVERLAP_M - half_lengths_m - local_position(view, row)[0]
     faster_mps = float(np.clip(_CLOSING_PER_S * off_m, -_MAX_CLOSING_MPS, _MAX_CLOSING_MPS))
-    target_then = target.speed_mps + ADAPTS_S * target_accel(view)
+    target_then = target.speed_mps + ADAPTS_S * view.accel_mps2(view.scene.target)
     wish = min(max(target_then + faster_mps, 0.0), way.lane.speed_mps)
     profile = SpeedProfile.adapting(
         wish, view.speed(row), _BRAKING_MPS2, _ACCEL_MPS2, 0.0, way.lane.speed_mps
     )
     yield Manoeuvre(BLIND_SPOT, row, way, profile, is_positioning=abs(off_m) > _BEGINS_M)
-
-
-def target_accel(view: SituationView) -> float:
-    """Return the target's acceleration over the last step, in m/s²."""
-    speed, dt_s = view.scene.history.speed_mps[view.scene.target], view.scene.history.dt_s
-    return float(np.nan_to_num(speed[-1] - speed[-2])) / dt_s if len(speed) > 1 else 0.0

@@ -46,9 +46,8 @@ def still_follows(view: SituationView, manoeuvre: Manoeuvre) -> bool:
     target = view.target
     if target is None:
         return False
-    speed = view.scene.history.speed_mps[view.scene.target]
-    slowing = max(float(speed[-2] - speed[-1]) / view.scene.history.dt_s, 0.0) if len(speed) > 1 else 0.0
-    target_driven_m = target.braked_motion((slowing,), 0.0)[0][0]
+    slowing_mps2 = max(-view.accel_mps2(view.scene.target), 0.0)
+    target_driven_m = target.braked_motion((slowing_mps2,), 0.0)[0][0]
     return bool(_stays_behind(view, manoeuvre.row, [manoeuvre.profile], target_driven_m)[0])
 
 

@@ -117,6 +117,4 @@ def with_braking(manoeuvre: Manoeuvre, braking_mps2: float | None) -> Manoeuvre:
 
 def target_brakes(view: SituationView, over_mps2: float = _BRAKES_MPS2) -> bool:
     """Return whether the target has slowed by more than *over_mps2*, 1 m/s² by default, in the last step."""
-    history = view.scene.history
-    speed = history.speed_mps[view.scene.target]
-    return len(speed) > 1 and bool((speed[-2] - speed[-1]) / history.dt_s > over_mps2)
+    return -view.accel_mps2(view.scene.target) > over_mps2

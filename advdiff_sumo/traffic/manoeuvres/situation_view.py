@@ -81,11 +81,15 @@ class SituationView:
         """Return the present speed of *row*, at least 0."""
         return max(float(self.scene.history.speed_mps[row, -1]), 0.0)
 
-    def speed_gain_mps2(self, row: int) -> float:
-        """Return the acceleration of *row* over the last step, limited to 0 to 3 m/s²."""
+    def accel_mps2(self, row: int) -> float:
+        """Return the acceleration of *row* over the last step; 0 where that is not known."""
         speed = self.scene.history.speed_mps[row]
         gained = float(speed[-1] - speed[-2]) / self.scene.history.dt_s if len(speed) > 1 else 0.0
-        return float(np.clip(np.nan_to_num(gained), 0.0, _MAX_GAIN_MPS2))
+        return float(np.nan_to_num(gained))
+
+    def speed_gain_mps2(self, row: int) -> float:
+        """Return the acceleration of *row* over the last step, limited to 0 to 3 m/s²."""
+        return float(np.clip(self.accel_mps2(row), 0.0, _MAX_GAIN_MPS2))
 
     def size(self, row: int) -> FloatArray:
         """Return (2,) length and width of *row*."""

@@ -15,6 +15,8 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.model_options import FUTURE_STEPS, MODEL_STEP_S
 from advdiff_sumo.models.view import look
 from advdiff_sumo.traffic.manoeuvres.licensed_attack import licensed_attack
+from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
+from advdiff_sumo.traffic.manoeuvres.target_lane_change import required_side
 from advdiff_sumo.traffic.planning.futures import Futures
 from tests.sim import nets
 from tests.traffic.manoeuvres.scenes import scene_on
@@ -110,3 +112,25 @@ def test_a_plan_that_moves_sideways_into_a_target_that_changes_lanes_is_refused(
     """They are side by side."""
     assert refused(roads[False], THROUGH, 0, 2.0, 3.2, target_lane=2, drift_mps=-1.0) == (1,)
     assert refused(roads[False], THROUGH, 0, 2.0, 0.0, target_lane=2, drift_mps=-1.0) == ()
+
+
+@pytest.mark.parametrize("left", [False, True])
+@pytest.mark.parametrize(
+    ("route", "lane", "outwards"),
+    [
+        (THROUGH, 0, False),
+        (THROUGH, 1, None),
+        (THROUGH, 2, None),
+        (OFF, 0, None),
+        (OFF, 1, True),
+        (OFF, 2, True),
+    ],
+)
+def test_the_side_to_which_the_route_makes_the_target_change(
+    roads: dict[bool, RoadMap], left: bool, route: tuple[str, ...], lane: int, outwards: bool | None
+) -> None:
+    """Lane 0 is the outermost: the rightmost of right-hand traffic."""
+    road = roads[left]
+    scene = scene_on({"target": (road.lanes[f"WM_{lane}"], 110.0, TARGET_MPS)})
+    side = required_side(SituationView.of(road, replace(scene, routes=(route,))))
+    assert side == (None if outwards is None else "left" if outwards == left else "right")

@@ -114,6 +114,16 @@ def test_closing_in_counts_from_where_the_gap_is_too_small(road) -> None:
     )
 
 
+@pytest.mark.parametrize(("braking_mps2", "expected"), [(1.2, []), (0.8, [("close_following", 0.3)])])
+def test_time_in_which_the_target_brakes_does_not_count(road, braking_mps2, expected) -> None:
+    """14 m/s behind 10 from 10 m on, for 4 s; half the safe gap, 9.2 m at first, is reached at 0.4 or 0.3 s.
+
+    At 0.3 s with 0.8 m/s²: 10 − 1.2 + 0.04 = 8.84 m of (10.3 + 89.3 / 12) / 2 = 8.88 m.
+    """
+    ego = driven("ego", (-150, -1.6), 0, 14.0 - braking_mps2 * DT_S * np.arange(41))
+    assert told(record_of(ego, straight("other", (-136, -1.6), 0, 10, 41)), road) == expected
+
+
 def test_a_vehicle_that_cuts_in_closely_leaves_time_to_make_room(road) -> None:
     """On the target's lane from 2.1 s on, 3 m ahead; the target falls back from 4 s on, or not at all."""
     steps = 101

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.hard_braking import nearby_vehicles, required_brake_mps2
@@ -31,6 +31,8 @@ CLOSE_SHARE = 0.5
 CLOSE_FOLLOWING_S = 2.0
 #: It is none in stop-and-go traffic, at up to this speed.
 _LEAST_SPEED_MPS = 5.0
+#: The target makes room if it brakes harder than this, on average over so long.
+_MAKES_ROOM_MPS2, _BRAKING_OVER_S = 1.0, 0.5
 
 
 def unsafe_lane_entries(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
@@ -65,7 +67,8 @@ def _unsafe_entries(view: TrafficView, target: int, step: int) -> Iterator[tuple
 def close_following(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
     """Yield the first breach of following with less than half the safe gap, if any, from where it begins.
 
-    If the gap was as small when the vehicle ahead became the leader, the target has three seconds to make room.
+    Time in which the target brakes does not count: it makes room. If the gap was as small when the vehicle ahead became
+    the leader, it has three seconds to do so.
 
     Args:
         record: the episode.
@@ -79,7 +82,8 @@ def close_following(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach
     needed_m = safe_gap_m(speed, np.maximum(0.0, speed - following.closing_mps[leader, steps]))
     with np.errstate(invalid="ignore"):
         close = np.isfinite(gap_m) & (speed > _LEAST_SPEED_MPS) & (gap_m < CLOSE_SHARE * needed_m)
-    begin = _first_lasting(close, leader, view.steps(CUT_IN_WINDOW_S), view.steps(CLOSE_FOLLOWING_S))
+    brakes = _braking_mps2(speed, view.steps(_BRAKING_OVER_S), tracks.dt_s) > _MAKES_ROOM_MPS2
+    begin = _first_lasting(close, brakes, leader, view.steps(CUT_IN_WINDOW_S), view.steps(CLOSE_FOLLOWING_S))
     if begin is not None:
         gaps = f"{gap_m[begin]:.1f} m behind ({needed_m[begin]:.1f} m are safe)"
         driven = f"at {3.6 * speed[begin]:.0f} km/h, {gaps}, for {CLOSE_FOLLOWING_S:g} s or more"
@@ -87,19 +91,32 @@ def close_following(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach
         yield Breach(BreachKind.CLOSE_FOLLOWING, target, view.time_s(begin), text)
 
 
-def _first_lasting(close: BoolArray, leader: IntArray, room: int, needed: int) -> int | None:
-    """Return the first instant from which *close* holds for *needed* more with the same *leader*; both (T,).
+def _braking_mps2(speed_mps: FloatArray, over: int, dt_s: float) -> FloatArray:
+    """Return (T,) the mean deceleration over the last *over* steps, 0 where that is not known."""
+    over, braking = max(over, 1), np.zeros(len(speed_mps))
+    braking[over:] = (speed_mps[:-over] - speed_mps[over:]) / (over * dt_s)
+    return np.nan_to_num(braking)
 
-    If it holds as soon as there is that leader, the first *room* instants do not count.
+
+def _first_lasting(
+    close: BoolArray, brakes: BoolArray, leader: IntArray, room: int, needed: int
+) -> int | None:
+    """Return the first instant of which *needed* more follow while *close* holds with the same *leader*; all (T,).
+
+    Instants at which *brakes* holds do not count. If it is close as soon as there is that leader, neither do the first
+    *room* instants.
     """
     changes = np.flatnonzero(np.diff(leader)) + 1
     for part in np.split(np.arange(len(close)), changes):
-        counted = close[part]
-        if counted[0]:
-            counted[:room] = False
-        count = 0
-        for k, is_close in zip(part.tolist(), counted.tolist(), strict=True):
-            count = count + 1 if is_close else 0
-            if count > needed:
-                return int(k - needed)
+        lasts = close[part]
+        if lasts[0]:
+            lasts[:room] = False
+        counted: list[int] = []
+        for k, is_close in zip(part.tolist(), lasts.tolist(), strict=True):
+            if not is_close:
+                counted.clear()
+            elif not brakes[k]:
+                counted.append(k)
+            if len(counted) > needed:
+                return counted[0]
     return None

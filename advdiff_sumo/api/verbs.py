@@ -55,6 +55,7 @@ def run(
     from advdiff_sumo.sweep.executors import SerialExecutor
     from advdiff_sumo.sweep.run_engine import run_into, run_settings
     from advdiff_sumo.sweep.run_folder import RunFolder
+    from advdiff_sumo.sweep.sole_writer import sole_writer
 
     planner = None if isinstance(target, str) else _checked(target)
     name = target if isinstance(target, str) else f"{type(target).__module__}:{type(target).__qualname__}"
@@ -66,7 +67,7 @@ def run(
     words = run_words(prepared.settings["options"]["net"], *prepared.names, seed)
     path = Path(out) if out is not None else free_folder(*words)
     folder = RunFolder.create(path, run_settings(prepared), False, "give a new out")
-    with NotebookProgress(episodes, progress) as bar:
+    with sole_writer(folder.path), NotebookProgress(episodes, progress) as bar:
         run_into(prepared, folder, SerialExecutor(prepared), bar.on_episode)
     return Results(folder.path)
 

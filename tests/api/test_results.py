@@ -15,6 +15,7 @@ from advdiff_sumo.core.plan import Controls
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.report.run_summary import summary_figures, summary_lines
+from advdiff_sumo.sweep.sole_writer import sole_writer
 from tests.e2e.commands import advdiff
 
 SCENE = {"warmup_s": 10.0, "scenes_per_warmup": 2, "min_neighbours": 1}
@@ -49,6 +50,22 @@ def test_the_planner_that_was_given_drives(results: ads.Results) -> None:
         gained = own[10]["speed_mps"] - own[0]["speed_mps"]
         assert gained == pytest.approx(2.0, abs=0.05)  # 2 m/s² for a second
     assert f'target = "{__name__}:Accelerates"' in (results.folder / "run.toml").read_text()
+
+
+def test_nobody_else_writes_into_the_folder_of_a_run(tmp_path: Path) -> None:
+    tried, out = list[bool](), tmp_path / "run"
+
+    class Resumes(Accelerates):
+        def plan(
+            self, road: RoadMap, scene: Scene, memory: None, rng: np.random.Generator
+        ) -> tuple[Controls, None]:
+            with pytest.raises(FileError, match="another process is writing into it"), sole_writer(out):
+                pass
+            tried.append(True)
+            return super().plan(road, scene, memory, rng)
+
+    ads.run(target=Resumes(1.0), episodes=1, horizon_s=1.0, scene=SCENE, out=out)
+    assert tried
 
 
 @pytest.mark.slow

@@ -209,9 +209,11 @@ def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None
     """
     from advdiff_sumo.sweep.sweep_files import changed_code  # late, as above
 
-    for name in changed_code(now, before):
+    names = changed_code(now, before)
+    if names:
+        files = f"the file of {names[0]} has" if len(names) == 1 else f"the files of {', '.join(names)} have"
         terminal(stderr=True).print(
-            f"note: the file of {name} has changed since this was begun, and what had finished then stays; "
+            f"note: {files} changed since this was begun, and what had finished then stays; "
             "choose a new --out to have all of one code",
             style="yellow",
             soft_wrap=True,

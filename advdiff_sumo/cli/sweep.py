@@ -94,13 +94,15 @@ def _resumed_store(resume: Path | None, out: Path | None, dry_run: bool) -> Stor
     """Return the sweep to resume; None if a new one is begun, or would be by *dry_run*.
 
     Raises:
-        ConfigError: *out* names another folder than *resume*.
+        ConfigError: *out* names another folder than *resume*, or *resume* is an option.
         FileError: a new sweep is to be written into *out*, which is in use.
     """
     from advdiff_sumo.sweep.sweep_store import Store, must_be_free
 
     if out is not None and resume is None and not dry_run:
         must_be_free(out)
+    if resume is not None and resume.name.startswith("--") and not resume.exists():
+        raise ConfigError(f"--resume takes the folder, not {resume}: advdiff-sumo sweep --resume DIR")
     if resume is not None and out is not None and out.resolve() != resume.resolve():
         raise ConfigError(f"--resume {resume} goes on in that folder; leave --out {out} out")
     return None if resume is None else Store.open(resume)

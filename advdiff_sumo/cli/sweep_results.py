@@ -165,7 +165,8 @@ def _print(console: Console, results: FolderRows, overall: Figures) -> None:
     for subject, text in (*position_lines(finished), *plan_lines(episodes)):
         console.print(f"{subject} {text}", soft_wrap=True)
     if overall.missing:
-        console.print(f"{counted(overall.missing, 'episode')} not run yet", style="yellow")
+        lacking = f"{counted(overall.missing, 'episode')} not run yet"
+        console.print(f"{lacking}; {results.remedy}", style="yellow", soft_wrap=True)
     if failures:
         _print_failures(console, failures)
     clusters = findings(episodes)

@@ -55,10 +55,15 @@ class FolderRows:
     @property
     def how_to_go_on(self) -> str:
         """How many episodes are missing, and the command that runs them."""
+        missing_text = f"{counted(self.missing, 'episode')} {'has' if self.missing == 1 else 'have'}"
+        return f"{missing_text} not been run; {self.remedy}"
+
+    @property
+    def remedy(self) -> str:
+        """The command that runs the episodes that are missing or damaged."""
         folder = shlex.quote(str(self.path))
         command = f"run --resume --out {folder}" if self.of_run else f"sweep --resume {folder}"
-        missing_text = f"{counted(self.missing, 'episode')} {'has' if self.missing == 1 else 'have'}"
-        return f"{missing_text} not been run; advdiff-sumo {command} runs {'it' if self.missing == 1 else 'them'}"
+        return f"advdiff-sumo {command} runs {'it' if self.missing == 1 else 'them'}"
 
     @property
     def timing(self) -> Rows:

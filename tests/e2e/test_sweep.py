@@ -112,7 +112,7 @@ def _tables_catch_up(sweep: Path, key: str, here: Callable[..., Outcome]) -> Non
     (episode,) = sweep.glob(f"episodes/*/{key}")
     kept = episode.read_bytes()
     episode.unlink()
-    assert "1 episode not run yet" in here("results", sweep).out
+    assert f"1 episode not run yet; advdiff-sumo sweep --resume {sweep} runs it" in here("results", sweep).out
     episode.write_bytes(kept)
     assert here("report", sweep).code == 0
     assert ads.load(sweep).summary().figures["episodes"] == 6
@@ -142,6 +142,9 @@ def test_a_wrong_command_is_one_sentence(sweeps: Path, refused: Callable[..., st
     assert "no figure 'colision_rate'" in refused("sweep", "small.toml", "--fail-if", "colision_rate > 0")
     assert "--ray-address goes with --executor ray" in refused("sweep", "small.toml", "--ray-address", "auto")
     assert "holds no sweep" in refused("sweep", "--resume", "nowhere")
+    assert "--resume takes the folder, not --out: advdiff-sumo sweep --resume DIR" in refused(
+        *("sweep", "--resume", "--out", "nowhere")
+    )
     assert "holds no sweep and no run" in refused("results", "nowhere")
     assert "no sweep in runs has an episode" in refused("replay", "0123456789")
 

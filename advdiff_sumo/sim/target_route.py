@@ -91,9 +91,10 @@ def _beginnings(road: RoadMap, world: World, frame: Frame, row: int) -> list[tup
             within_reach = islice(beside, min(int(room_m / change_m), _MOST_CHANGES))
             following = {edge for x in within_reach for edge in _following_edges(road, x)}
             beginnings |= {(*edges, edge) for edge in following - _following_edges(road, lane)}
-        if len(_following_edges(road, lane)) != 1:
+        following_lanes = _following_lanes(road, lane)
+        if len({x.edge_id for x in following_lanes}) != 1:
             break
-        lane = road.lanes[lane.successors[0].to_lane]
+        lane = following_lanes[0]
     return sorted(beginnings)
 
 
@@ -106,5 +107,10 @@ def _is_anyone_beside(road: RoadMap, world: World, frame: Frame, row: int, side:
 
 def _following_edges(road: RoadMap, lane: Lane) -> set[str]:
     """Return the edges to which cars may drive on from *lane*."""
+    return {following.edge_id for following in _following_lanes(road, lane)}
+
+
+def _following_lanes(road: RoadMap, lane: Lane) -> list[Lane]:
+    """Return the lanes to which cars may drive on from *lane*."""
     following = (road.lanes[link.to_lane] for link in lane.successors)
-    return {beyond.edge_id for beyond in following if beyond.permits("passenger")}
+    return [beyond for beyond in following if beyond.permits("passenger")]

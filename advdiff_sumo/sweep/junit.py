@@ -64,9 +64,13 @@ def junit_xml(
 
 
 def _suite(row: Row) -> str:
-    """Return the name of the suite of *row*: net, target, background and seed."""
+    """Return the name of the suite of *row*: net, situation unless it is any, target, background and seed."""
     options = [row[name] if row[name] != "{}" else "" for name in ("target_options", "background_options")]
-    return f"{row['net']} · {row['target']}{options[0]} · {row['background']}{options[1]} · seed {row['root_seed']}"
+    situation = row.get("situation") or "any"
+    place = row["net"] if situation == "any" else f"{row['net']} · {situation}"
+    return (
+        f"{place} · {row['target']}{options[0]} · {row['background']}{options[1]} · seed {row['root_seed']}"
+    )
 
 
 def _case(suite: Element, row: Row, failed: Row | None, timing: Mapping[int, float]) -> None:

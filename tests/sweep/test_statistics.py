@@ -270,6 +270,15 @@ def test_rows_are_chosen_by_column() -> None:
         choose(rows, ["ACC"], "--a")
 
 
+def test_cases_of_a_sweep_that_differ_only_in_the_situation_are_different_suites() -> None:
+    rows = [row(0, situation="any"), row(1, situation="yellow"), row(2)]  # the last one of an earlier version
+    suites = fromstring(junit_xml(rows, [], {}, None)).findall("testsuite")
+    assert [suite.get("tests") for suite in suites] == ["2", "1"]
+    anywhere, at_yellow = (str(suite.get("name")) for suite in suites)
+    net, others = anywhere.split(" · ", 1)
+    assert at_yellow == f"{net} · yellow · {others}"
+
+
 def test_junit_distinguishes_failures_errors_and_other_collisions() -> None:
     failed = {
         **row(2, end="failed"),

@@ -100,14 +100,15 @@ class Results:
 
     def summary(self) -> Summary:
         """Return rates with intervals, medians, planning times, and the reasons why episodes failed."""
-        rows, timing = RunTables(self.folder).all_episodes(), self.table("timing").to_pylist()
+        tables, timing = RunTables(self.folder), self.table("timing").to_pylist()
+        rows = tables.all_episodes()
         failed = {
             str(row["failure_kind"]): str(row["failure_message"])
             for row in reversed(rows)
             if row["failure_kind"]
         }
         reasons = [(f"… the first {kind}", message) for kind, message in sorted(failed.items())]
-        return Summary((*summary_lines(rows, timing), *reasons), summary_figures(rows))
+        return Summary((*summary_lines(rows, timing, tables.situation()), *reasons), summary_figures(rows))
 
     def report(self) -> ReportPage:
         """Write ``report.html`` into the folder and return it."""

@@ -39,7 +39,7 @@ def print_summary(
         title_justify="left",
         show_header=False,
     )
-    for name, value in summary_lines(rows, timing):
+    for name, value in summary_lines(rows, timing, tables.situation()):
         table.add_row(name, value)
     console.print(table)
     if missing > 0:

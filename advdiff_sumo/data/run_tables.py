@@ -58,6 +58,14 @@ class RunTables:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise self.error(path, f"cannot be read ({_line(error)})", self.remedy) from None
 
+    def situation(self) -> str:
+        """Return the option ``scene.situation`` of a run; "any" for a sweep, whose episodes have a column of it.
+
+        Raises:
+            FileError: ``run.toml`` or ``sweep.toml`` is missing or damaged.
+        """
+        return str(self.settings().get("options", {}).get("scene", {}).get("situation", "any"))
+
     def columns(self, table: str, needed: Iterable[str] = ()) -> set[str]:
         """Return the names of the columns of *table*.
 

@@ -43,15 +43,21 @@ def out_of_position(row: Mapping[str, Any]) -> str | None:
     return _ACTIONS.get(str(row["attack_kind"]), f"attack as '{row['attack_kind']}'")
 
 
-def position_lines(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return (text, number of episodes and remedy) for each attack for which some *rows* had no vehicle in position."""
+def position_lines(rows: Sequence[Mapping[str, Any]], situation: str = "any") -> list[tuple[str, str]]:
+    """Return (text, number of episodes and remedy) for each attack for which some *rows* had no vehicle in position.
+
+    Args:
+        rows: of ``episodes.parquet``.
+        situation: that of the seed scenes, for rows without the column.
+    """
     lines = []
     for kind in dict.fromkeys(row.get("attack_kind") for row in rows):
         with_kind = [row for row in rows if row.get("attack_kind") == kind]
         missing = [action for row in with_kind if (action := out_of_position(row)) is not None]
         if missing:
             suited = _SUITED_SITUATIONS.get(str(kind)) if 2 * len(missing) > len(with_kind) else None
-            remedy = f"; scenes for it: scene.situation={suited}" if suited is not None else ""
+            is_new = any(row.get("situation", situation) != suited for row in with_kind)
+            remedy = f"; scenes for it: scene.situation={suited}" if suited is not None and is_new else ""
             count = f"in {len(missing)} of {len(with_kind)} episodes{remedy}"
             lines.append((f"no one was in a position to {missing[0]}", count))
     return lines

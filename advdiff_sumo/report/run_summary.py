@@ -13,7 +13,7 @@ from advdiff_sumo.report.attack_words import out_of_position, plan_lines, positi
 Rows: TypeAlias = Sequence[dict[str, Any]]
 
 
-def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
+def summary_lines(rows: Rows, timing: Rows, situation: str = "any") -> list[tuple[str, str]]:
     """Return (name, value with unit) of each line of the table at the end of a run.
 
     Episodes without a verdict, as in folders of earlier versions, are left out of the rates that need one.
@@ -21,6 +21,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
     Args:
         rows: of ``episodes.parquet``.
         timing: of ``timing.parquet``.
+        situation: that of a run's seed scenes.
     """
     counted = [row for row in rows if has_outcome(row)]
     counted_episodes = {row.get("episode") for row in counted}
@@ -36,7 +37,7 @@ def summary_lines(rows: Rows, timing: Rows) -> list[tuple[str, str]]:
         ("failed episodes", _rate(sum(map(is_failure, rows)), len(rows))),
         ("median of minimum TTC", _median_text(counted, "min_ttc_s", "s")),
         ("median of minimum clearance", _median_text(counted, "min_clearance_m", "m")),
-        *position_lines(counted),
+        *position_lines(counted, situation),
         *plan_lines(rows),
         ("real-time factor (median)", _median_text(timing, "real_time_factor", "×")),
     ]

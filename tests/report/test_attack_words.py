@@ -27,6 +27,14 @@ def test_most_scenes_without_an_encounter_are_of_the_wrong_situation(lacking: in
     assert position_lines(rows) == [(text, f"in {lacking} of 3 episodes{remedy}")]
 
 
+@pytest.mark.parametrize(("situation", "has_remedy"), [("merging", False), ("any", True)])
+def test_scenes_of_the_suited_situation_are_not_recommended_again(situation: str, has_remedy: bool) -> None:
+    of_run = position_lines([row("close-pass", False)], situation)
+    of_sweep = position_lines([{**row("close-pass", False), "situation": situation}])
+    assert of_run == of_sweep
+    assert ("scene.situation=merging" in of_run[0][1]) is has_remedy
+
+
 def test_every_kind_has_its_line_and_an_unknown_one_its_name() -> None:
     rows = [row("head-on", False), row("swarm", False), row("any", False)]
     assert [words for words, _ in position_lines(rows)] == [

@@ -214,7 +214,12 @@ def _print_rates(
             *_rate_cells(figures),
         )
     table.add_section()
-    table.add_row("all", "", "", *("" for _ in by_situation), *_rate_cells(overall))
+    blanks = ["" for _ in ("background", "net", *by_situation)]
+    by_target = by_kind(episodes, failures, ("target", "target_options"))
+    if len(by_target) > 1:
+        for (target, options), figures in by_target.items():
+            table.add_row(f"all of {target}{_options_text(options)}", *blanks, *_rate_cells(figures))
+    table.add_row("all", *blanks, *_rate_cells(overall))
     table.print(console)
 
 

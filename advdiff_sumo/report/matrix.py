@@ -43,11 +43,13 @@ class Matrix:
         targets: labels of the rows.
         columns: labels of the columns.
         cells: rows of cells; None for a pair that was not run.
+        totals: each target in all columns together.
     """
 
     targets: tuple[str, ...]
     columns: tuple[str, ...]
     cells: tuple[tuple[MatrixCell | None, ...], ...]
+    totals: tuple[MatrixCell | None, ...]
 
     @property
     def is_single(self) -> bool:
@@ -74,7 +76,8 @@ def _matrix(rows: Sequence[Row], labels: Labels, column_of: Callable[[Row], str]
     targets = tuple(dict.fromkeys(target for target, _ in groups))
     columns = tuple(dict.fromkeys(column for _, column in groups))
     cells = tuple(tuple(_cell(groups.get((target, column))) for column in columns) for target in targets)
-    return Matrix(targets, columns, cells)
+    totals = tuple(_cell([row for row in rows if labels.target(row) == target]) for target in targets)
+    return Matrix(targets, columns, cells, totals)
 
 
 def _cell(rows: Sequence[Row] | None) -> MatrixCell | None:

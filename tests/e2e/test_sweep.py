@@ -49,6 +49,11 @@ def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]
     done = here("sweep", "small.toml", *words)
     assert done.code == 0, done.err
     assert "6 episodes; rates in %" in done.out
+    totals = [
+        cells for line in done.out.splitlines() if (cells := line.replace("│", " ").split())[:1] == ["all"]
+    ]
+    assert [cells[:4] for cells in totals[:2]] == [["all", "of", name, "3"] for name in ("IDM", "lane_graph")]
+    assert totals[2][:2] == ["all", "6"]
     assert "coverage:" in done.out
     assert "look at done/report.html" in done.out
     assert b"<title>done " in (sweeps / "done" / "report.html").read_bytes()

@@ -91,6 +91,8 @@ def test_matrix_counts_finished_episodes(run: FinishedRun) -> None:
     ]
     assert cells == [[(0, 1, 0), (1, 1, 1)], [(0, 0, 0), (0, 1, 0)]]
     assert [[c.failed.count for c in row if c] for row in matrix.cells] == [[0, 0], [1, 0]]
+    totals = [(c.collisions.count, c.collisions.total, c.failed.count) for c in matrix.totals if c]
+    assert totals == [(1, 2, 0), (0, 1, 1)]
 
 
 def test_a_cell_says_out_of_how_many_each_count_is(sweep_folder: Path, tmp_path: Path) -> None:
@@ -239,6 +241,11 @@ def test_page_of_a_sweep(sweep_folder: Path) -> None:
     assert "<h1>Sweep planners</h1>" in html
     assert "2 targets in 2 backgrounds on downtown" in html
     assert '<h2 id="matrix">Targets and backgrounds</h2>' in html
+    assert "The 2 targets together; the next table has each." in html
+    heads = [">Target", ">All", ">sumo", ">replay"]
+    places = [html.index(head, html.index('<h2 id="matrix">')) for head in heads]
+    assert places == sorted(places)
+    assert "collisions in 1 of 2 (50.0 %); at fault in 1" in " ".join(html.split()), "IDM's in both"
     assert write_report(sweep_folder).read_text(encoding="utf-8") == html
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Width in characters of a pipe or file. It is wider than any table of ours, and tables are no wider than needed.
 PIPED_WIDTH = 1000
+#: Time between two lines on the progress in a pipe or file; many CI services end a job that is silent for ten minutes.
+_LINE_EVERY_S = 300.0
 
 
 def terminal(**options: Any) -> Console:
@@ -57,17 +60,23 @@ def progress_bar(console: Console, transient: bool = False) -> Progress:
 
 
 class Bars:
-    """Progress bars, one below the other.
+    """Progress bars, one below the other; without a terminal, a line every five minutes.
+
+    Args:
+        console: receives them.
+        clock: returns the time in s.
 
     Attributes:
         said: the sentences that were printed above the bars.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self.said: list[str] = []
         self._bar = progress_bar(console)
         self._task: TaskID | None = None
         self._title = ""
+        self._clock = clock
+        self._last_line_s = clock()
 
     def __enter__(self) -> Bars:
         self._bar.start()
@@ -86,6 +95,16 @@ class Bars:
         if self._task is not None:
             description = f"{self._title} · {words}" if words else self._title
             self._bar.update(self._task, advance=1, description=description)
+            self._print_line(description)
+
+    def _print_line(self, description: str) -> None:
+        """Print how far the present bar is, if there is no terminal and the last line is old."""
+        now_s = self._clock()
+        if self._bar.console.is_terminal or now_s - self._last_line_s < _LINE_EVERY_S:
+            return
+        self._last_line_s = now_s
+        task = self._bar.tasks[-1]
+        self._bar.console.print(f"{description} · {task.completed:.0f} of {task.total:.0f}", soft_wrap=True)
 
     def say(self, sentence: str) -> None:
         """Print a sentence above the bars."""

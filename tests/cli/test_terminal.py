@@ -7,9 +7,10 @@ import os
 import subprocess
 import sys
 
+from rich.console import Console
 from rich.table import Table
 
-from advdiff_sumo.cli.terminal import progress_bar, terminal
+from advdiff_sumo.cli.terminal import Bars, progress_bar, terminal
 
 _PROGRAM = """
 from rich.table import Table
@@ -51,3 +52,29 @@ def test_brackets_and_colons_are_not_markup() -> None:
     with progress_bar(console) as bar:
         bar.add_task(text, total=1)
     assert sink.getvalue().count(text) >= 5
+
+
+def _steps(console: Console, times_s: list[float]) -> None:
+    """Advance a bar of 9 steps, 2 of them done before, at *times_s*; the first one is that of its making."""
+    clock = iter(times_s)
+    with Bars(console, lambda: next(clock)) as bars:
+        bars.begin("episodes", total=9, done=2)
+        for _ in times_s[1:]:
+            bars.step("1 collision")
+
+
+def test_without_a_terminal_there_is_a_line_every_five_minutes() -> None:
+    sink = io.StringIO()
+    _steps(terminal(file=sink), [100.0, 399.0, 400.0, 699.0, 750.0])
+    assert sink.getvalue().splitlines() == [
+        "episodes · 1 collision · 4 of 9",
+        "episodes · 1 collision · 6 of 9",
+    ]
+
+
+def test_a_quiet_command_and_a_terminal_have_no_lines_on_the_progress() -> None:
+    quiet, screen = io.StringIO(), io.StringIO()
+    _steps(terminal(file=quiet, quiet=True), [0.0, 900.0])
+    _steps(terminal(file=screen, force_terminal=True, color_system=None), [0.0, 900.0])
+    assert quiet.getvalue() == ""
+    assert "3 of 9" not in screen.getvalue()

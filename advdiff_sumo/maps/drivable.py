@@ -16,6 +16,8 @@ from advdiff_sumo.maps.lanes import Junction, Lane, edge_of_lane
 
 _SEAM_M = 0.05
 """Half the width of the gaps between lanes that are closed."""
+_GRID_M = 1e-6
+"""Corners are rounded to this; without it, GEOS loses whole lanes if corners differ in the last bits only."""
 _TILE_POINTS = 48
 """Tiles with at most this many points are not split further."""
 _TILE_M = 5.0
@@ -41,7 +43,8 @@ def area_of_lanes(lanes: Iterable[Lane], junctions: Mapping[str, Junction]) -> B
         if len(junction.shape_xy_m) >= 3
         and any(edge_of_lane(lane) in road_edges for lane in junction.incoming_lanes)
     ]
-    area = shapely.union_all(parts).buffer(_SEAM_M, join_style="mitre").buffer(-_SEAM_M, join_style="mitre")
+    union = shapely.union_all(parts, grid_size=_GRID_M)
+    area = union.buffer(_SEAM_M, join_style="mitre").buffer(-_SEAM_M, join_style="mitre")
     if shapely.is_valid(area):
         return area
     # a junction without extent is a line; buffering it may leave a ring that crosses itself

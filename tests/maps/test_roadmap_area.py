@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -43,6 +45,15 @@ def test_off_road_share_by_hand(road):
     np.testing.assert_allclose(road.off_road_share(boxes)[:4], [0.0, 0.5, 0.25, 1.0], atol=1e-6)
     assert np.isnan(road.off_road_share(boxes)[4])
     assert road.off_road_share(np.zeros((0, 4, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize("angle_rad", [0.7, 1.4184600104607972, 3.0510460534636357])
+def test_a_turned_net_loses_no_lane(road, angle_rad):
+    """At the last two angles, corners of neighbouring lanes differ in the last bits only; GEOS then lost an arm."""
+    turn = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
+    lanes = [replace(lane, centre_xy_m=lane.centre_xy_m @ turn) for lane in road.lanes.values()]
+    junctions = {name: replace(x, shape_xy_m=x.shape_xy_m @ turn) for name, x in road.junctions.items()}
+    assert area_of_lanes(lanes, junctions).area == pytest.approx(road.drivable.area, abs=0.01)
 
 
 @pytest.mark.data

@@ -19,6 +19,8 @@ from advdiff_sumo.metrics.kinematics import velocities
 TTC_HORIZON_S = 10.0
 #: Rates below this are 0.
 _LEAST_RATE_MPS = 1e-12
+#: Values that differ by at most this are equal, so that rounding does not decide which of them is the earliest.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,9 @@ def smallest_value(values: FloatArray, tracks: Tracks) -> Extreme | None:
     if not np.isfinite(values).any():
         return None
     by_time = np.where(np.isfinite(values), values, np.inf).T
-    step, row = np.unravel_index(int(np.argmin(by_time)), by_time.shape)
-    return Extreme(float(by_time[step, row]), int(row), tracks.t0_s + float(step) * tracks.dt_s)
+    least = float(by_time.min())
+    step, row = np.unravel_index(int(np.argmax(by_time <= least + _SAME)), by_time.shape)
+    return Extreme(least, int(row), tracks.t0_s + float(step) * tracks.dt_s)
 
 
 def time_to_collision(tracks: Tracks, target: int) -> FloatArray:

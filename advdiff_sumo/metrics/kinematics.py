@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from advdiff_sumo.core.arrays import BoolArray, FloatArray
-from advdiff_sumo.core.scene import Tracks
+from advdiff_sumo.core.scene import AgentClass, Tracks
 from advdiff_sumo.metrics.target_contact import JUMP_MPS
 
 #: A faster lateral motion is an instantaneous lane change.
 SNAP_MPS = 8.0
+#: A pedestrian who moves faster than its speed by more than this is put from one path onto the next.
+WALK_SNAP_MPS = 1.0
 
 
 def unbroken_steps(tracks: Tracks) -> BoolArray:
@@ -20,14 +22,19 @@ def unbroken_steps(tracks: Tracks) -> BoolArray:
 
 
 def snaps(tracks: Tracks) -> BoolArray:
-    """Return (A, T − 1) whether the agent moves sideways faster than ``SNAP_MPS`` in the step.
+    """Return (A, T − 1) whether the agent is put elsewhere in the step, within ``JUMP_MPS``; False where it is absent.
 
-    SUMO changes lanes in this way without its sublane model. False where the agent is absent.
+    A vehicle moves sideways faster than ``SNAP_MPS``, as SUMO changes lanes without its sublane model. A pedestrian
+    moves faster than its speed by over ``WALK_SNAP_MPS``, as at SUMO's corners of sidewalks and crossings.
     """
     move = np.diff(tracks.xy_m, axis=1)
     yaw = tracks.yaw_rad[:, :-1] + 0.5 * np.angle(np.exp(1j * np.diff(tracks.yaw_rad, axis=1)))
     sideways = move[..., 1] * np.cos(yaw) - move[..., 0] * np.sin(yaw)
-    return np.asarray(np.abs(sideways) > SNAP_MPS * tracks.dt_s)
+    snapped = np.abs(sideways) > SNAP_MPS * tracks.dt_s
+    speed = np.abs(tracks.speed_mps)
+    walked = (np.maximum(speed[:, 1:], speed[:, :-1]) + WALK_SNAP_MPS) * tracks.dt_s
+    walks = (tracks.classes == AgentClass.PEDESTRIAN)[:, None]
+    return np.asarray(snapped | (walks & (np.hypot(move[..., 0], move[..., 1]) > walked)))
 
 
 def velocities(tracks: Tracks) -> FloatArray:

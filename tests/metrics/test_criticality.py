@@ -12,7 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from advdiff_sumo.core.boxes import corners
-from advdiff_sumo.metrics.criticality import TTC_HORIZON_S, clearances, smallest_value, time_to_collision
+from advdiff_sumo.core.scene import AgentClass
+from advdiff_sumo.metrics.criticality import (
+    TTC_HORIZON_S,
+    Extreme,
+    clearances,
+    smallest_value,
+    time_to_collision,
+)
 from advdiff_sumo.metrics.encroachment import post_encroachment
 from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.metrics.kinematics import snaps, velocities
@@ -25,6 +32,25 @@ def test_ttc_of_two_seconds(straight, record_of) -> None:
     ttc = time_to_collision(record.tracks, 0)
     assert ttc[1] == pytest.approx([2.0, 1.9])  # 20 m at 10 m/s
     assert np.isnan(ttc[0]).all()
+
+
+def test_rounding_does_not_decide_when_the_least_value_was(straight, record_of) -> None:
+    tracks = record_of(
+        straight("ego", (0, 0), 0, 0, steps=5), straight("other", (0, 3), 0, 0, steps=5)
+    ).tracks
+    values = np.array([[np.nan] * 5, [2.0, 1.0, 1.0 - 2e-16, 1.0 - 4e-16, 1.5]])
+    assert smallest_value(values, tracks) == Extreme(1.0 - 4e-16, 1, pytest.approx(0.1))
+
+
+def test_a_pedestrian_put_onto_the_next_path_does_not_walk_there(straight, record_of) -> None:
+    """It passes 0.7 m ahead of a standing car at 1.4 m/s; 0.4 m to the side in one step would be 4 m/s towards it."""
+    walker = replace(straight("walker", (3.3, -4), math.pi / 2, 1.4), agent_class=AgentClass.PEDESTRIAN)
+    walker = replace(walker, size_m=(0.6, 0.6))
+    walker.xy_m[10:, 0] -= 0.4
+    tracks = record_of(straight("ego", (0, 0), 0, 0), walker).tracks
+    velocity = velocities(tracks)[1]
+    np.testing.assert_allclose(velocity, np.broadcast_to([0.0, 1.4], velocity.shape), atol=1e-9)
+    assert np.isinf(time_to_collision(tracks, 0)[1]).all()
 
 
 def test_an_instantaneous_lane_change_gives_no_velocity(straight, record_of) -> None:

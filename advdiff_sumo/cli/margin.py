@@ -21,6 +21,7 @@ from advdiff_sumo.cli.worker_flags import (
     end_as_by_ctrl_c,
     limits_of,
 )
+from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
@@ -105,6 +106,8 @@ def margin(
     words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
     folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")
     console = terminal(quiet=as_json)
+    if note := other_scene_note(config, options.seed):
+        terminal(stderr=True).print(f"note: {note}", style="yellow", soft_wrap=True)
     with same_command_continues(folder), ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
         trials = stack.enter_context(MarginTrials(options, folder, limits))
@@ -115,6 +118,20 @@ def margin(
     _report(console, options.target, folder, attack, margins, as_json)
     if len(margins) < len(attacks) or not any(result.margin.is_known for result in margins):
         raise typer.Exit(_FAILED)
+
+
+def other_scene_note(config: Path | None, seed: int) -> str:
+    """Return a note if *config* is the ``run.toml`` of a replayed episode that is not of the margin's scene; else "".
+
+    Args:
+        config: file of ``--config``, readable; None without one.
+        seed: that of the margin, whose scene is the first one of this seed.
+    """
+    header = {} if config is None else read_toml(config).get("run", {})
+    number = header.get("repeats") if isinstance(header, dict) else None
+    if not number:
+        return ""
+    return f"{config} repeats episode {number}, but this margin is that of episode 0 of seed {seed}, another seed scene"
 
 
 def _report(

@@ -43,8 +43,11 @@ def sweeps(workplace: Path) -> Path:
     return workplace
 
 
-def test_a_sweep_from_file_to_verdict(sweeps: Path, here: Callable[..., Outcome]) -> None:
+def test_a_sweep_from_file_to_verdict(
+    sweeps: Path, here: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("duckdb", reason="the extra sql is not installed")
+    monkeypatch.setenv("COLUMNS", "250")  # room for all columns
     words = ("--executor", "serial", "--out", "done", "--junit", "ci/junit.xml", "--fail-if", "episodes < 6")
     done = here("sweep", "small.toml", *words)
     assert done.code == 0, done.err

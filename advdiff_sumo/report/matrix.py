@@ -76,7 +76,9 @@ def _matrix(rows: Sequence[Row], labels: Labels, column_of: Callable[[Row], str]
     targets = tuple(dict.fromkeys(target for target, _ in groups))
     columns = tuple(dict.fromkeys(column for _, column in groups))
     cells = tuple(tuple(_cell(groups.get((target, column))) for column in columns) for target in targets)
-    totals = tuple(_cell([row for row in rows if labels.target(row) == target]) for target in targets)
+    totals = tuple(
+        _cell([row for key, own in groups.items() if key[0] == target for row in own]) for target in targets
+    )
     return Matrix(targets, columns, cells, totals)
 
 

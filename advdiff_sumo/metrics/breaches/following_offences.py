@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from advdiff_sumo.core.arrays import BoolArray, FloatArray, IntArray
+from advdiff_sumo.core.arrays import BoolArray, IntArray
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.metrics.breaches.breach import Breach, BreachKind
 from advdiff_sumo.metrics.breaches.hard_braking import nearby_vehicles, required_brake_mps2
 from advdiff_sumo.metrics.breaches.lane_rules import unsafe_entry_breach
-from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
+from advdiff_sumo.metrics.breaches.striking_rules import BRAKE_OVER_S, EXPECTED_BRAKE_MPS2, mean_braking_mps2
 from advdiff_sumo.metrics.encounter import BREACH_WINDOW_S, HISTORY_S
 from advdiff_sumo.metrics.following import following_gaps
 from advdiff_sumo.metrics.lane_entry import CUT_IN_WINDOW_S, LaneEntry, lane_changes, lane_entry
@@ -31,8 +31,8 @@ CLOSE_SHARE = 0.5
 CLOSE_FOLLOWING_S = 2.0
 #: It is none in stop-and-go traffic, at up to this speed.
 _LEAST_SPEED_MPS = 5.0
-#: The target makes room if it brakes harder than this, on average over so long.
-_MAKES_ROOM_MPS2, _BRAKING_OVER_S = 1.0, 0.5
+#: The target makes room if it brakes harder than this.
+_MAKES_ROOM_MPS2 = 1.0
 
 
 def unsafe_lane_entries(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach]:
@@ -82,20 +82,14 @@ def close_following(record: EpisodeRecord, view: TrafficView) -> Iterator[Breach
     needed_m = safe_gap_m(speed, np.maximum(0.0, speed - following.closing_mps[leader, steps]))
     with np.errstate(invalid="ignore"):
         close = np.isfinite(gap_m) & (speed > _LEAST_SPEED_MPS) & (gap_m < CLOSE_SHARE * needed_m)
-    brakes = _braking_mps2(speed, view.steps(_BRAKING_OVER_S), tracks.dt_s) > _MAKES_ROOM_MPS2
+    brakes, over = np.zeros(tracks.steps, dtype=np.bool_), max(1, view.steps(BRAKE_OVER_S))
+    brakes[over:] = mean_braking_mps2(speed, over, tracks.dt_s) > _MAKES_ROOM_MPS2  # NaN compares as False
     begin = _first_lasting(close, brakes, leader, view.steps(CUT_IN_WINDOW_S), view.steps(CLOSE_FOLLOWING_S))
     if begin is not None:
         gaps = f"{gap_m[begin]:.1f} m behind ({needed_m[begin]:.1f} m are safe)"
         driven = f"at {3.6 * speed[begin]:.0f} km/h, {gaps}, for {CLOSE_FOLLOWING_S:g} s or more"
         text = f"followed '{tracks.ids[leader[begin]]}' {driven}"
         yield Breach(BreachKind.CLOSE_FOLLOWING, target, view.time_s(begin), text)
-
-
-def _braking_mps2(speed_mps: FloatArray, over: int, dt_s: float) -> FloatArray:
-    """Return (T,) the mean deceleration over the last *over* steps, 0 where that is not known."""
-    over, braking = max(over, 1), np.zeros(len(speed_mps))
-    braking[over:] = (speed_mps[:-over] - speed_mps[over:]) / (over * dt_s)
-    return np.nan_to_num(braking)
 
 
 def _first_lasting(

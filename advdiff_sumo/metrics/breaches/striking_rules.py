@@ -14,7 +14,7 @@ from advdiff_sumo.metrics.traffic_view import TrafficView
 #: Braking of a leader that a follower must expect.
 EXPECTED_BRAKE_MPS2 = 4.0
 #: Braking is measured over this time, since single steps of a log are noisy.
-_BRAKE_OVER_S = 0.5
+BRAKE_OVER_S = 0.5
 #: Braking that ended longer ago than this does not count.
 _BRAKE_WITHIN_S = 3.0
 _BRAKE_TOLERANCE_MPS2 = 0.05
@@ -62,14 +62,18 @@ def _striking_text(view: TrafficView, case: Encounter, other: Party) -> str | No
 
 def hardest_brake_mps2(view: TrafficView, row: int, step: int) -> float:
     """Return the hardest braking of agent *row*, averaged over half a second, in the three seconds before *step*."""
-    count = max(1, view.steps(_BRAKE_OVER_S))
+    count = max(1, view.steps(BRAKE_OVER_S))
     speed = np.abs(view.tracks.speed_mps[row, max(0, step - view.steps(_BRAKE_WITHIN_S)) : step + 1])
     speed = speed[np.isfinite(speed)]
     count = min(count, len(speed) - 1)
     if count < 1:
         return 0.0
-    braking: FloatArray = (speed[:-count] - speed[count:]) / (count * view.tracks.dt_s)
-    return float(max(0.0, braking.max()))
+    return float(max(0.0, mean_braking_mps2(speed, count, view.tracks.dt_s).max()))
+
+
+def mean_braking_mps2(speed_mps: FloatArray, over: int, dt_s: float) -> FloatArray:
+    """Return (T − over,) the mean deceleration over *over* ≥ 1 steps up to each later instant of *speed_mps* (T,)."""
+    return (speed_mps[:-over] - speed_mps[over:]) / (over * dt_s)
 
 
 def pushed_by(view: TrafficView, case: Encounter, index: int) -> int | None:

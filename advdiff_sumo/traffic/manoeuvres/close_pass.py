@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from advdiff_sumo.maps.lanes import SIDES
 from advdiff_sumo.traffic.licence import LAWFUL, Licence
 from advdiff_sumo.traffic.manoeuvres.company import company_rows, has_lane_beside, local_position
 from advdiff_sumo.traffic.manoeuvres.licence_rules import lawful_manoeuvres
@@ -44,7 +45,7 @@ def close_pass(view: SituationView, row: int) -> Iterator[Manoeuvre]:
         return
     passing = _passing(view, target, row) if row in passing_rows(view) else None
     if passing is not None and not lets_in(view, row):
-        is_far = bumper_gap_m(view, row) > _BEGINS_M
+        is_far = _bumper_gap_m(view, row) > _BEGINS_M
         yield replace(passing, is_positioning=is_far)
 
 
@@ -64,8 +65,8 @@ def pass_sides(view: SituationView) -> Sequence[str]:
     The first is the one to which its route makes it change lanes, otherwise the overtaking side.
     """
     target = view.target
-    overtaking_side = "right" if kerb_side(view) == "left" else "left"
-    order = sorted(("left", "right"), key=lambda side: side != (required_side(view) or overtaking_side))
+    first = required_side(view) or ("right" if kerb_side(view) == "left" else "left")
+    order = sorted(SIDES, key=lambda side: side != first)
     return [side for side in order if target is not None and has_lane_beside(view, target, side)]
 
 
@@ -80,7 +81,7 @@ def slow_leaders(
     if row is None or row in busy or not pass_sides(view):
         return []
     way, speed = view.ways[row], view.speed(row)
-    share = _LEADER_SHARES[any(bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
+    share = _LEADER_SHARES[any(_bumper_gap_m(view, passing) < _BEGINS_M for passing in passing_rows(view))]
     slow_mps = max(share * way.lane.speed_mps, MIN_STOPPING_SPEED_MPS)
     bounds = min(slow_mps, speed), max(slow_mps, speed)
     profile = SpeedProfile.adapting(slow_mps, speed, _LEADER_BRAKING_MPS2, _ACCEL_MPS2, *bounds)
@@ -100,7 +101,7 @@ def passing_rows(view: SituationView) -> Sequence[int]:
 def _passing(view: SituationView, target: TargetWay, row: int) -> Manoeuvre | None:
     """Return how *row* passes or comes alongside; None if it has not enough room, or may not drive fast enough."""
     way = view.ways[row]
-    gap_m, limit = bumper_gap_m(view, row), way.lane.speed_mps
+    gap_m, limit = _bumper_gap_m(view, row), way.lane.speed_mps
     behind_m, gains_mps = -local_position(view, row)[0], view.speed(row) - target.speed_mps
     direction = np.sign(behind_m if gap_m > 0.0 else gains_mps) or 1.0
     keeps_left_m = _lateral_place_m(view, row)
@@ -124,7 +125,7 @@ def _lateral_place_m(view: SituationView, row: int) -> float | None:
     return float(np.sign(target_left_m) * np.clip(room_m - CLEARANCE_M, -reach_m, reach_m))
 
 
-def bumper_gap_m(view: SituationView, row: int) -> float:
+def _bumper_gap_m(view: SituationView, row: int) -> float:
     """Return the gap along the road between *row* and the target; negative if they are side by side."""
     return view.gap_m(local_position(view, row)[0], row, view.scene.target)
 
@@ -132,7 +133,7 @@ def bumper_gap_m(view: SituationView, row: int) -> float:
 def _is_passed(view: SituationView, target: TargetWay, row: int) -> bool:
     """Return whether *row* is beyond the target and drives away from it, as the faster or the slower one."""
     away_mps = np.sign(local_position(view, row)[0]) * (view.speed(row) - target.speed_mps)
-    return bool(bumper_gap_m(view, row) > _ENDS_M and away_mps > 0.0)
+    return bool(_bumper_gap_m(view, row) > _ENDS_M and away_mps > 0.0)
 
 
 def lets_in(view: SituationView, row: int) -> bool:
@@ -140,4 +141,4 @@ def lets_in(view: SituationView, row: int) -> bool:
     target, (ahead_m, left_m) = view.target, local_position(view, row)
     if target is None or target_entering(view) is None or left_m * target.way.drift_mps < 0.0:
         return False
-    return ahead_m < 0.0 < bumper_gap_m(view, row)
+    return ahead_m < 0.0 < _bumper_gap_m(view, row)

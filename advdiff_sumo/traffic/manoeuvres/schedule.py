@@ -52,7 +52,7 @@ def update_manoeuvres(
     kinds, busy = memory.startable_kinds(view), {m.row for m in driven}
     company = company_manoeuvres(view, busy, licence) if DOUBLE in kinds else []
     roles = {names[m.row]: DOUBLE for m in company}
-    leaders = slow_leaders(view, busy, licence) if set(BESIDE_KINDS) & set(kinds) else []
+    leaders = slow_leaders(view, busy, licence) if any(kind in kinds for kind in BESIDE_KINDS) else []
     memory = replace(memory, company={**roles, **{names[m.row]: m.kind for m in leaders}})
     begun = {names[m.row]: _commitment(m, now, features.get(m.row, ())) for m in fresh}
     attackers_begun = {name for name, under_way in begun.items() if not under_way.is_positioning}

@@ -70,7 +70,8 @@ def required_side(view: SituationView) -> Side | None:
         for count, goal in enumerate(beside, 1):
             way = view.way_from(goal.line.at(min(s_m, goal.length_m)), view.scene.routes[row])
             if way is not None and _keeps_route(view, way):
-                changes.setdefault(side, count)
+                changes[side] = count
+                break
     return min(changes, key=lambda side: changes[side], default=None)
 
 

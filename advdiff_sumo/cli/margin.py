@@ -21,7 +21,6 @@ from advdiff_sumo.cli.worker_flags import (
     end_as_by_ctrl_c,
     limits_of,
 )
-from advdiff_sumo.config import read_toml
 from advdiff_sumo.core.errors import ConfigError, EpisodeFailure
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
@@ -37,8 +36,11 @@ _FAILED = 1
 _QUANTITIES = dict.fromkeys(scale.by for scales in SCALES.values() for scale in scales)
 
 _Attack = Annotated[
-    str,
-    typer.Option(help=f"How it is attacked: {', '.join(SCALES)}, or {EVERY_ATTACK}."),
+    str | None,
+    typer.Option(
+        help=f"How it is attacked: {', '.join(SCALES)}, or {EVERY_ATTACK}.",
+        show_default="as in the episode, else hard-stop",
+    ),
 ]
 _By = Annotated[
     str | None,
@@ -59,13 +61,31 @@ _Within = Annotated[
 
 
 def margin(
+    key: Annotated[
+        str | None,
+        typer.Argument(
+            help="Key of an episode of a sweep, or how it begins; with --run its number. Its target, seed scene and "
+            "attack are taken.",
+            show_default=False,
+        ),
+    ] = None,
+    sweep: Annotated[
+        Path | None, typer.Option(help="Folder of the sweep.", show_default="the one in runs/ that has KEY")
+    ] = None,
+    run: Annotated[Path | None, typer.Option(help="Folder of a run, in place of a sweep.")] = None,
     target: flags.Target = None,
     net: flags.Net = None,
-    attack: _Attack = "hard-stop",
+    attack: _Attack = None,
     by: _By = None,
     demand: flags.Demand = None,
     horizon: flags.Horizon = None,
     seed: flags.Seed = None,
+    number: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Which of the seed's scenes: that of this episode of a run.", show_default="0"
+        ),
+    ] = None,
     defect: flags.Defect = None,
     within: _Within = None,
     out: Annotated[
@@ -83,6 +103,8 @@ def margin(
 
     advdiff-sumo margin --target my_planner:MyPlanner --net motorway --attack cut-in --seed 3
 
+    advdiff-sumo margin 53dd5b1d77f3 --sweep runs/planners
+
     The report shows the failing beside the passing neighbour. Trials that are in the folder are not run again.
 
     Exit code 0: a margin or a bound of it; 1: nobody was in a position to attack, or an episode failed; 2: something
@@ -90,48 +112,55 @@ def margin(
     """
     one_thread_for_good()
     end_as_by_ctrl_c()
-    from advdiff_sumo.cli.run import options_given  # late: --help needs no simulator
-    from advdiff_sumo.experiments.margin_command import margin_command
+    from advdiff_sumo.cli.margin_subject import described_subject, episode_subject  # late: --help is quick
+    from advdiff_sumo.cli.run import options_given
+    from advdiff_sumo.experiments.margin_command import episode_margin_command, margin_command
     from advdiff_sumo.experiments.margin_trials import MarginTrials
     from advdiff_sumo.sim.free_folder import named_folder
 
-    attacks = _attacks(attack, by, within)
+    if key is None:
+        subject = described_subject(number, config, attack, run or sweep)
+    else:
+        given = {"--net": net, "--demand": demand, "--seed": seed, "--number": number, "--config": config}
+        subject = episode_subject(key, run, sweep, attack, given | {"--target": target})
+    attacks = _attacks(subject.attack, by, within, subject.default_scale)
     _check_assignments(assign or [], attacks)
     cli_options: dict[str, Any] = {"target": target, "net": net, "demand": demand and str(demand)}
-    cli_options |= {"horizon_s": horizon, "seed": seed, "background": "scripted"}
+    cli_options |= {"horizon_s": horizon, "seed": seed, "background": None if key else "scripted"}
+    policy = {} if key else {"attackers": 1}
     options = _without_varied(
-        options_given(config, cli_options, {"attackers": 1}, assign or [], defect), attacks
+        options_given(config, cli_options, policy, assign or [], defect, subject.base), attacks
     )
     planted = options.target_options.get("defects", ())
     words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
-    folder = out or named_folder("margin", attack, *map(str, words), f"s{options.seed}")
+    place = f"s{options.seed}" + (f"-{subject.number}" if subject.number else "")
+    name = (*map(str, words), place) if key is None else (subject.name, *([target] if target else []))
+    folder = out or named_folder("margin", subject.attack, *name)
     console = terminal(quiet=as_json)
-    if note := other_scene_note(config, options.seed):
-        terminal(stderr=True).print(f"note: {note}", style="yellow", soft_wrap=True)
     with same_command_continues(folder), ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
-        trials = stack.enter_context(MarginTrials(options, folder, limits))
-        margins = _margins(console, trials, attacks, within)
+        trials = stack.enter_context(
+            MarginTrials(options, subject.number, subject.asked_attack, folder, limits)
+        )
+        margins = _margins(console, trials, attacks, within, descends=subject.asked_attack is not None)
         if not margins:
             raise typer.Exit(_FAILED)
-        trials.keep(margins, margin_command(options, attack, by, within))
-    _report(console, options.target, folder, attack, margins, as_json)
+        chosen = {
+            "--target": target,
+            "--attack": attack,
+            "--by": by,
+            "--within": within,
+            "--horizon": horizon,
+        }
+        command = (
+            episode_margin_command(subject.source, chosen, defect or [], assign or [])
+            if subject.source
+            else margin_command(options, subject.number, subject.attack, by, within)
+        )
+        trials.keep(margins, command)
+    _report(console, options.target, folder, subject.attack, margins, as_json)
     if len(margins) < len(attacks) or not any(result.margin.is_known for result in margins):
         raise typer.Exit(_FAILED)
-
-
-def other_scene_note(config: Path | None, seed: int) -> str:
-    """Return a note if *config* is the ``run.toml`` of a replayed episode that is not of the margin's scene; else "".
-
-    Args:
-        config: file of ``--config``, readable; None without one.
-        seed: that of the margin, whose scene is the first one of this seed.
-    """
-    header = {} if config is None else read_toml(config).get("run", {})
-    number = header.get("repeats") if isinstance(header, dict) else None
-    if not number:
-        return ""
-    return f"{config} repeats episode {number}, but this margin is that of episode 0 of seed {seed}, another seed scene"
 
 
 def _report(
@@ -155,14 +184,22 @@ def _json_values(attack: str, margins: Sequence[MarginOf]) -> dict[str, Any]:
     return {"margins": summaries} if attack == EVERY_ATTACK else summaries[0]
 
 
-def _attacks(attack: str, by: str | None, within: float | None) -> list[tuple[str, Scale]]:
+def _attacks(
+    attack: str, by: str | None, within: float | None, default_scale: str | None
+) -> list[tuple[str, Scale]]:
     """Return the requested attacks with the scales of their severities.
+
+    Args:
+        attack: a kind, or all.
+        by: name of the scale.
+        within: distance of the neighbouring values.
+        default_scale: scale to take if *by* is None; None: the first of the attack.
 
     Raises:
         ConfigError: the attack or its scale is unknown, or an option for one attack is given for all.
     """
     if attack != EVERY_ATTACK:
-        return [(attack, scale_of(attack, by))]
+        return [(attack, scale_of(attack, by or default_scale))]
     for option, value in (("--by", by), ("--within", within)):
         if value is not None:
             raise ConfigError(f"{option} goes with one attack; leave it out, or choose an --attack")
@@ -179,7 +216,7 @@ def _check_assignments(assignments: Sequence[str], attacks: Sequence[tuple[str, 
         f"background_options.{scale.option}": "the search varies it; leave it out" for _, scale in attacks
     }
     remedies["background_options.attack"] = "name the attack with --attack"
-    remedies["background"] = "a margin is that of background scripted; leave it out"
+    remedies["background"] = "a margin is that of background scripted, or of an episode's own; leave it out"
     remedies["episodes"] = "a margin is that of one seed scene; leave it out"
     for assignment in assignments:
         name = assignment.partition("=")[0].strip()
@@ -195,20 +232,24 @@ def _without_varied(options: RunOptions, attacks: Sequence[tuple[str, Scale]]) -
 
 
 def _margins(
-    console: Console, trials: MarginTrials, attacks: Sequence[tuple[str, Scale]], within: float | None
+    console: Console,
+    trials: MarginTrials,
+    attacks: Sequence[tuple[str, Scale]],
+    within: float | None,
+    descends: bool,
 ) -> list[MarginOf]:
     """Return the margins of *attacks*; leave out those in which an episode failed, and print its error."""
     margins = []
     for attack, scale in attacks:
         try:
-            margins.append(_margin(console, trials, attack, scale, within))
+            margins.append(_margin(console, trials, attack, scale, within, descends))
         except EpisodeFailure as failure:
             terminal(stderr=True, soft_wrap=True, highlight=False).print(f"error: {failure}", style="red")
     return margins
 
 
 def _margin(
-    console: Console, trials: MarginTrials, attack: str, scale: Scale, within: float | None
+    console: Console, trials: MarginTrials, attack: str, scale: Scale, within: float | None, descends: bool
 ) -> MarginOf:
     """Return the margin of *attack*, and print every trial."""
     from advdiff_sumo.experiments.margin import bisect
@@ -219,4 +260,4 @@ def _margin(
         console.print(f"{attack}, {scale.text(value)}: {trial.outcome}", soft_wrap=True)
         return trial
 
-    return MarginOf(attack, scale, bisect(run, scale, within))
+    return MarginOf(attack, scale, bisect(run, scale, within, descends))

@@ -51,7 +51,7 @@ def replay(
     from advdiff_sumo.sweep.run_folder import RunFolder
 
     flags.check_display(gui)
-    original = _original(key, run, sweep)
+    original = original_episode(key, run, sweep)
     repetition = repeat(original, gui)
     folder = RunFolder.create(
         out or free_folder("replay", original.name), settings_for(original.job, repetition.run), resume=False
@@ -70,7 +70,7 @@ def replay(
     _print_whether_same(repetition.same, "run" if run else "sweep", gui, _outcome(original.part))
 
 
-def _original(key: str, run: Path | None, sweep: Path | None) -> Before:
+def original_episode(key: str, run: Path | None, sweep: Path | None) -> Before:
     """Return the stored episode *key* of *run* or *sweep*; if both are None, of the sweep in ``runs/`` that has it.
 
     Raises:

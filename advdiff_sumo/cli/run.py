@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -294,8 +295,9 @@ def options_given(
     policy: Mapping[str, Any],
     assignments: list[str],
     defects: list[str] | None = None,
+    base: Mapping[str, Any] = MappingProxyType({}),
 ) -> RunOptions:
-    """Return the options of a run; ``--set`` overrides the command line, which overrides the file.
+    """Return the options of a run; ``--set`` overrides the command line, which overrides the file, and that *base*.
 
     Args:
         config: TOML file of options; None: no file.
@@ -303,6 +305,7 @@ def options_given(
         policy: options of the background, which a file has in the table ``background_options``.
         assignments: NAME=VALUE of ``--set``.
         defects: defects to plant in the target, which a file has in the table ``target_options``.
+        base: options that hold where none is given.
 
     Raises:
         FileError: the file cannot be read.
@@ -318,7 +321,7 @@ def options_given(
             raise ConfigError(f"{config}: [options] is not a table")
         if values.keys() & {"grid", "cases"}:
             raise ConfigError(f"{config}: is the file of a sweep; give it to advdiff-sumo sweep")
-    values |= {key: value for key, value in cli_options.items() if value is not None}
+    values = {**base, **values, **{key: value for key, value in cli_options.items() if value is not None}}
     policy_options = {key: value for key, value in policy.items() if value is not None}
     if policy_options:
         _add_to(values, "background_options", policy_options)

@@ -25,6 +25,7 @@ from advdiff_sumo.traffic.manoeuvres.intensity import (
 EVERY_ATTACK = "all"
 _LEAVES_ROAD = "it leaves the road by itself and touches nobody"
 _REMEDY = "raise scene.min_speed_mps or choose a scene.situation with --set, or take another --seed or --net"
+_DESCENTS = 8  # of a range from its severest to its mildest value
 _HITS_BYSTANDER = "it collides with somebody who does nothing against it"
 
 
@@ -155,6 +156,9 @@ class Margin:
             if not self.is_known:
                 reason = f": {self.passes.lacks}" if self.passes.lacks else ""
                 return f"nobody was in a position for {attack}{reason}; {_REMEDY}"
+            if self.trials and self.passes.value != self.trials[0].value:
+                severest = scale.text(self.passes.value)
+                return f"copes with {attack} up to {severest}; a more severe one did not take place"
             return f"copes with {attack} up to the severest, {scale.text(self.passes.value)}"
         if self.passes is None and self.fails is not None:
             explanation = "" if self.fails.met else f": {self.fails.apart}"
@@ -166,7 +170,9 @@ class Margin:
         return f"copes with {attack} at {passes} and fails at {fails}"
 
 
-def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = None) -> Margin:
+def bisect(
+    run: Callable[[float], Trial], scale: Scale, within: float | None = None, descends: bool = False
+) -> Margin:
     """Find where a target begins to fail between the mildest and the severest value of *scale*.
 
     The ends are tried first, then values on a grid. If it fails in several separate ranges, one of their limits is
@@ -176,6 +182,7 @@ def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = N
         run: runs the trial of a value.
         scale: of the severity.
         within: distance of the neighbouring values at the end, in the scale's unit; None: the scale's default.
+        descends: whether milder values are tried, down to the middle, where the severest attacks do not take place.
     """
     trials: list[Trial] = []
     span, step_size = scale.severest - scale.mildest, within or scale.within
@@ -187,6 +194,9 @@ def bisect(run: Callable[[float], Trial], scale: Scale, within: float | None = N
         return trials[-1]
 
     high, fails = steps, run_step(steps)
+    while descends and not (fails.failed or fails.met) and high > steps // 2:
+        high -= max(steps // _DESCENTS, 1)
+        fails = run_step(high)
     if not fails.failed:
         return Margin(fails, None, tuple(trials))
     low, passes = 0, run_step(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,13 @@ _WITH_FLAG = ("net", "target", "demand", "horizon_s", "seed", "episodes")
 
 
 def margin_command(
-    options: RunOptions, attack: str, by: str | None = None, within: float | None = None
+    options: RunOptions, number: int, attack: str, by: str | None = None, within: float | None = None
 ) -> str:
     """Return the command that repeats a margin in a new folder beside that of its results.
 
     Args:
         options: of the run with background ``scripted``; files are named by their full paths.
+        number: which of the seed's scenes it is.
         attack: its kind, or all.
         by: name of the scale, if it was given.
         within: distance of the neighbouring values, in the scale's unit, if it was given.
@@ -33,7 +34,7 @@ def margin_command(
     target_options = dict(options.target_options)
     defects = target_options.get("defects")
     planted = target_options.pop("defects") if isinstance(defects, list | tuple) else ()
-    flags = {
+    flags: dict[str, str | float | None] = {
         "--target": options.target,
         "--net": net_name(options.net),
         "--attack": attack,
@@ -42,15 +43,41 @@ def margin_command(
         "--demand": str(Path(options.demand).resolve()) if options.demand else None,
         "--horizon": options.horizon_s,
         "--seed": options.seed,
+        "--number": number or None,
     }
-    words = ["advdiff-sumo", "margin"]
-    for flag, value in flags.items():
-        words += [] if value is None else [flag, f"{value:g}" if isinstance(value, float) else str(value)]
+    words = ["advdiff-sumo", "margin", *_flag_words(flags)]
     for defect in planted:
         words += ["--defect", str(defect)]
     for assignment in _assignments(options.model_copy(update={"target_options": target_options})):
         words += ["--set", assignment]
     return shlex.join([*words, "--out", _OUT])
+
+
+def episode_margin_command(
+    source: Sequence[str],
+    flags: Mapping[str, str | float | None],
+    defects: Sequence[str],
+    assignments: Sequence[str],
+) -> str:
+    """Return the command that repeats the margin of an episode, in a new folder beside that of its results.
+
+    Args:
+        source: words that name the episode.
+        flags: flag → value; None: it was not given.
+        defects: values of ``--defect``.
+        assignments: values of ``--set``.
+    """
+    words = ["advdiff-sumo", "margin", *source, *_flag_words(flags)]
+    for flag, values in (("--defect", defects), ("--set", assignments)):
+        for value in values:
+            words += [flag, value]
+    return shlex.join([*words, "--out", _OUT])
+
+
+def _flag_words(flags: Mapping[str, str | float | None]) -> Iterator[str]:
+    for flag, value in flags.items():
+        if value is not None:
+            yield from (flag, f"{value:g}" if isinstance(value, float) else str(value))
 
 
 def _assignments(options: RunOptions) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -62,7 +63,9 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
     """Runs episodes of one seed scene in one folder; episodes that it already holds are not run again.
 
     Args:
-        options: of a run with background ``scripted``, without attack and severity.
+        options: of a run with background ``scripted`` or ``diffusion``, without attack and severity.
+        number: which of the seed's scenes it is.
+        asked_attack: the background's option ``attack`` in all trials; None: the kind of each margin.
         folder: of the results.
         limits: of the worker.
 
@@ -71,9 +74,15 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         ConfigError: it holds the margin of another target, net or seed.
     """
 
-    def __init__(self, options: RunOptions, folder: Path, limits: WorkerLimits) -> None:
-        self._options, self._folder = options, folder
-        self._subject = options.model_dump_json(exclude={"episodes"}, indent=1).encode() + b"\n"
+    def __init__(
+        self, options: RunOptions, number: int, asked_attack: str | None, folder: Path, limits: WorkerLimits
+    ) -> None:
+        self._options, self._number, self._folder = options, number, folder
+        self._asked_attack = asked_attack
+        further = {"number": number or None, "asked_attack": asked_attack}
+        subject = options.model_dump(mode="json", exclude={"episodes"})
+        subject |= {name: value for name, value in further.items() if value is not None}
+        self._subject = json.dumps(subject, ensure_ascii=False, indent=1).encode() + b"\n"
         self._must_be_own()
         self._executor = ProcessExecutor(1, limits)
 
@@ -96,7 +105,11 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
         (row,) = stored.tables["episodes"].to_pylist()
         failed = is_valid_failure(row)
         manoeuvre = "crossing" if attack in CROSSING_ATTACKS else attack  # as which it is recorded
-        met = row["attacker_manoeuvre"] == manoeuvre if failed else bool(row["in_position"])
+        is_exact = failed or self._asked_attack not in (
+            None,
+            attack,
+        )  # a vehicle may be in position for another kind
+        met = row["attacker_manoeuvre"] == manoeuvre if is_exact else bool(row["in_position"])
         left_road = failed and row["collision_type"] == CollisionType.OFF_ROAD
         states = None if failed or met else states_of(stored.tables["states"])
         lacks = "" if states is None else lack_text(attack, row, states)
@@ -126,7 +139,11 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
                 target=options.target,
                 target_options=options.target_options,
                 background=options.background,
-                background_options={**options.background_options, "attack": attack, scale.option: value},
+                background_options={
+                    **options.background_options,
+                    "attack": self._asked_attack or attack,
+                    scale.option: value,
+                },
                 seed=options.seed,
                 episodes=1,
                 demand=options.demand,
@@ -135,6 +152,7 @@ class MarginTrials(AbstractContextManager["MarginTrials"]):
             for attack, scale, value in trials
         ]
         values = {
+            "first_episode": self._number,
             "horizon_s": options.horizon_s,
             "sim": options.sim.model_dump(mode="json"),
             "scene": options.scene.model_dump(mode="json"),

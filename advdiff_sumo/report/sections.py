@@ -12,12 +12,13 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.scene import Tracks
 from advdiff_sumo.data.episode_states import EpisodeStates
 from advdiff_sumo.metrics.reference import ReferenceDrive
-from advdiff_sumo.metrics.severity import badge, is_failure
+from advdiff_sumo.metrics.severity import badge, is_failure, is_valid_failure
 from advdiff_sumo.report.blocks import deviating_tracks, episode_block
 from advdiff_sumo.report.careful_driver import drive_of, tracks_of
 from advdiff_sumo.report.charts import Chart, charts_of
 from advdiff_sumo.report.folder import FinishedRun, Row
 from advdiff_sumo.report.labels import Labels
+from advdiff_sumo.report.margin_table import read_command
 from advdiff_sumo.report.nets import NetLayers
 from advdiff_sumo.report.reference_episodes import ReferenceEpisodes
 from advdiff_sumo.report.scene_picture import picture_of
@@ -32,6 +33,7 @@ from advdiff_sumo.report.templates import (
     title,
     words,
 )
+from advdiff_sumo.traffic.manoeuvres.intensity import SEVERITY_KINDS
 
 #: Pictures beyond this number of bytes are left out, the least severe episodes first.
 PICTURE_BYTES = 6_000_000
@@ -99,6 +101,7 @@ class Sections:
         self._labels, self._places = labels, places
         self._template = templates().get_template("episode.html")
         self._pictures, self._played = _Budget(PICTURE_BYTES), _Budget(PLAYED_BYTES)
+        self._is_margin = bool(read_command(run.folder))
 
     def make(self, ordered: Sequence[Row]) -> Iterator[Section]:
         """Yield the sections of *ordered* episodes, worst first; empty ones once the limits are reached."""
@@ -173,16 +176,20 @@ class Sections:
         )
 
     def _facts(self, row: Row, charts: Sequence[Chart], contacts: Sequence[Row]) -> dict[str, Any]:
-        net, key = str(row["net"]), str(row["key"])
+        net = str(row["net"])
+        episode = f"{row['key']} --sweep ." if row["key"] else f"{row['episode']} --run ."
+        attack = (
+            row.get("attacker_manoeuvre") or row["attack_kind"]
+        )  # of a run, only what was asked for is known
+        has_margin = is_valid_failure(row) and attack in SEVERITY_KINDS
         description = (
             f"{self._labels.target(row)} in {self._labels.background(row)} traffic, seed scene {row['scene']}"
         )
         return {
             **facts_of(row, charts, contacts),
             "line": description,
-            "command": f"advdiff-sumo replay {key} --sweep ."
-            if key
-            else f"advdiff-sumo replay {row['episode']} --run .",
+            "command": f"advdiff-sumo replay {episode}",
+            "margin": f"advdiff-sumo margin {episode}" if has_margin and not self._is_margin else "",
             "net": -1 if self._nets.layer(net) is None else self._places.index(net),
         }
 

@@ -130,7 +130,7 @@ def plan_sweep(spec: SweepSpec, *, drives: bool = True, places: bool = False) ->
                 f"{options.net}, seed {options.seed}; leave one out"
             )
         counts[cell_key] = cell
-        for number in range(options.episodes):
+        for number in range(spec.first_episode, spec.first_episode + options.episodes):
             batch, scene_index = _batch(options, source, number, batches)
             scene_key = digest([source, "scene", number])
             key = digest([cell_key, "episode", number])

@@ -111,6 +111,7 @@ class SweepSpec(Options):
 
     Attributes:
         episodes: seed scenes for each net and seed.
+        first_episode: number of the first of them; earlier ones are left out.
         horizon_s: longest duration of an episode.
         seeds: root seeds.
         sim: time steps and radii.
@@ -121,6 +122,7 @@ class SweepSpec(Options):
     """
 
     episodes: int = Field(10, ge=1)
+    first_episode: int = Field(0, ge=0)
     horizon_s: float = Field(20.0, gt=0.0, le=3600.0)
     seeds: tuple[Seed, ...] = (0,)
     sim: SimOptions = SimOptions()

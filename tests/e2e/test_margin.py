@@ -163,3 +163,61 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     assert other.code == 2
     assert "holds the margin of another target, net, seed or option" in other.err
     assert (tmp_path / "s" / "sweep.toml").read_text() == "[sweep]\n"
+
+
+SWEEP = """
+episodes = 4
+horizon_s = 20.0
+scene = { min_speed_mps = 8.0 }
+
+[[cases]]
+net = "motorway"
+target = "lane_graph"
+target_options = { defects = ["weak-brakes:2.5"] }
+background = "scripted"
+"""
+
+
+@pytest.mark.slow
+def test_a_finding_of_a_sweep_and_its_margin(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(SWEEP, encoding="utf-8")
+    swept = advdiff("sweep", "s.toml", "--out", "s", cwd=tmp_path)
+    assert swept.code == 0, swept.err
+    rows = pq.read_table(tmp_path / "s" / "episodes.parquet").to_pylist()
+    finding = next(row for row in rows if row["valid_failure"] and row["number"])
+    command = f"advdiff-sumo margin {finding['key']} --sweep ."
+    assert command in (tmp_path / "s" / "report.html").read_text(encoding="utf-8")
+    done = advdiff("margin", finding["key"], "--sweep", "s", "--within", "1", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    said = json.loads(done.out)
+    assert (said["attack"], said["parameter"]) == (finding["attacker_manoeuvre"], "braking")
+    assert said["failing"] > said["passing"]
+    failing, passing = pq.read_table(Path(said["folder"]) / "episodes.parquet").to_pylist()
+    assert {row["scene"] for row in (finding, failing, passing)} == {finding["scene"]}
+    assert failing["collision_partner"] == finding["collision_partner"]
+    (command,) = (Path(said["folder"]) / "margin.txt").read_text(encoding="utf-8").splitlines()
+    words = ("margin", finding["key"], "--sweep", str((tmp_path / "s").resolve()), "--within", "1")
+    assert command == f"advdiff-sumo {' '.join(words)} --out ../again"
+    sound = advdiff(*words, "--attack", "hard-stop", "--target", "lane_graph", "--json", cwd=tmp_path)
+    assert json.loads(sound.out)["failing"] is None
+
+
+@pytest.mark.slow
+def test_episodes_without_such_an_attack_and_options_that_contradict(tmp_path: Path) -> None:
+    run = advdiff("run", "--episodes", "1", "--horizon", "2", "--no-report", "--out", "r", cwd=tmp_path)
+    assert run.code == 0, run.err
+    for words, message in (
+        (
+            ("0", "--run", "r"),
+            "episode 0: it does not say what was done against the target; choose an --attack",
+        ),
+        (
+            ("0", "--run", "r", "--seed", "2"),
+            "--seed: the seed scene is that of episode 0; leave --seed or the",
+        ),
+        (("--run", "r"), "r: name an episode of it, too: its key or number, as for replay"),
+        (("3", "--run", "r"), "'3' is no episode of r"),
+    ):
+        refused = advdiff("margin", *words, cwd=tmp_path)
+        assert (refused.code, refused.out) == (2, "")
+        assert message in refused.err

@@ -21,6 +21,7 @@ from advdiff_sumo.experiments.margin import (
     bisect,
     scale_of,
 )
+from advdiff_sumo.traffic.manoeuvres.intensity import SEVERITY_KINDS
 from advdiff_sumo.traffic.policy_registry import make_policy
 from advdiff_sumo.traffic.scripted.scripted_policy import ScriptedTraffic
 
@@ -65,6 +66,27 @@ def test_nothing_or_all_fails(threshold: float, values: list[float], text: str) 
     assert [trial.value for trial in margin.trials] == values
     assert len(margin.neighbours) == 1
     assert margin.text("hard-stop", TO_NINE) == text
+
+
+def test_milder_values_are_tried_where_the_severest_encounter_does_not_take_place() -> None:
+    """Steps of 1 from 1 to 9: it takes place up to 6 m/s² and fails from 4 m/s² on."""
+    runs = lambda value: Trial(value, 4.0 <= value <= 6.0, met=value <= 6.0)  # noqa: E731 - one line says it
+    stopped = bisect(runs, TO_NINE, within=1.0)
+    assert [trial.value for trial in stopped.trials] == [9.0]
+    margin = bisect(runs, TO_NINE, within=1.0, descends=True)
+    assert [trial.value for trial in margin.trials] == [9.0, 8.0, 7.0, 6.0, 1.0, 3.0, 4.0]
+    assert [trial.value for trial in margin.neighbours] == [4.0, 3.0]
+
+
+def test_the_descent_ends_in_the_middle_and_at_the_first_encounter() -> None:
+    nobody = bisect(lambda value: Trial(value, failed=False, met=False), TO_NINE, 1.0, descends=True)
+    assert [trial.value for trial in nobody.trials] == [9.0, 8.0, 7.0, 6.0, 5.0]
+    assert not nobody.is_known
+    copes = bisect(lambda value: Trial(value, failed=False, met=value < 8.0), TO_NINE, 1.0, descends=True)
+    assert [trial.value for trial in copes.trials] == [9.0, 8.0, 7.0]
+    assert copes.text("cut-in", TO_NINE) == (
+        "copes with cut-in up to braking of 7 m/s²; a more severe one did not take place"
+    )
 
 
 def test_that_nobody_met_the_target_is_no_success() -> None:
@@ -140,3 +162,7 @@ def test_what_is_no_severity_is_refused() -> None:
         scale_of("any")
     with pytest.raises(ConfigError, match="--by gap: crossing is as severe as its time"):
         scale_of("crossing", "gap")
+
+
+def test_every_kind_with_a_severity_has_a_scale() -> None:
+    assert tuple(SCALES) == SEVERITY_KINDS

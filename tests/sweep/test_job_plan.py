@@ -64,6 +64,16 @@ def test_more_episodes_keep_the_keys_of_the_first_ones(place: Path) -> None:
     assert [job.key for job in few.jobs] == [job.key for job in many.jobs[:2]]
 
 
+def test_later_episodes_keep_their_keys_without_the_earlier_ones(place: Path) -> None:
+    whole, later = planned(place, episodes=5), planned(place, episodes=2, first_episode=3)
+    assert [job.number for job in later.jobs] == [3, 4]
+    assert [(job.key, job.scene_key) for job in later.jobs] == [
+        (job.key, job.scene_key) for job in whole.jobs[3:]
+    ]
+    assert [(job.index, job.scene_index) for job in later.jobs] == [(0, 1), (1, 0)]  # two scenes a warm-up
+    assert [(batch.number, batch.scenes) for batch in later.batches.values()] == [(1, 2), (2, 1)]
+
+
 def test_an_episode_is_found_by_the_beginning_of_its_key(place: Path) -> None:
     plan = planned(place, grid=_grid(place))
     job = plan.jobs[1]

@@ -5,7 +5,7 @@ class Player {
     Object.assign(this, { root, index, order, time: 0, playing: false, follow: false, streets: new Map() });
     const part = (name) => root.querySelector(`[data-part=${name}]`);
     for (const name of ["play", "slider", "clock", "speed", "title", "verdict", "facts", "words", "contact", "canvas",
-      "previous", "next", "follow", "natural", "reference", "plans", "names", "fit", "mark", "command", "badge"]) this[name + "Part"] = part(name);
+      "previous", "next", "follow", "natural", "reference", "plans", "names", "fit", "mark", "command", "margin", "badge"]) this[name + "Part"] = part(name);
     this.scene = new Scene(this.canvasPart);
     this.charts = new Charts(part("charts"), (time) => this.seek(time));
     this.listen();
@@ -140,6 +140,8 @@ class Player {
     this.factsPart.textContent = facts.line;
     this.commandPart.textContent = facts.command;
     this.commandPart.parentElement.hidden = !facts.command;
+    this.marginPart.textContent = facts.margin;
+    this.marginPart.parentElement.hidden = !facts.margin;
     this.contactPart.textContent = facts.momentName;
     this.sliderPart.max = episode.end;
     this.sliderPart.step = episode.dt;

@@ -8,7 +8,6 @@ from typing import Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
-from advdiff_sumo.config import Options
 from advdiff_sumo.core.errors import WeightsError
 from advdiff_sumo.models.failure_predictor import FORMAT
 from advdiff_sumo.models.shipped_weights import ShippedName, find_weights
@@ -16,6 +15,7 @@ from advdiff_sumo.models.stored import stored_format
 from advdiff_sumo.traffic.attack_names import RECKLESS_ATTACKS, FurtherAttack
 from advdiff_sumo.traffic.licence import LicenceName
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
+from advdiff_sumo.traffic.manoeuvres.intensity import SeverityOptions
 from advdiff_sumo.traffic.manoeuvres.staging import DEFAULT_MAX_INSERTED
 
 Attack: TypeAlias = Literal[
@@ -43,8 +43,8 @@ LAWFUL_ATTACKS: Mapping[str, tuple[str, str]] = {
 """Attack → its manoeuvre under a licence, and the cost term of the guide."""
 
 
-class DiffusionOptions(Options):
-    """Options of ``diffusion``.
+class DiffusionOptions(SeverityOptions):
+    """Options of ``diffusion``, beside those that prescribe the severity of its lawful manoeuvres.
 
     Attributes:
         licence: what attackers may do: "lawful": break no traffic rule; lawful manoeuvres are driven beside the guided
@@ -104,6 +104,9 @@ class DiffusionOptions(Options):
                 f"attack = '{self.attack}' is none of licence = '{self.licence}': {', '.join(known)}; "
                 f"choose one of them, or licence = '{other}'"
             )
+        prescribed = [name for name in SeverityOptions.model_fields if getattr(self, name) is not None]
+        if reckless and prescribed:
+            raise ValueError(f"{prescribed[0]}: a reckless attack has no prescribed severity; leave it out")
         return self
 
     @property

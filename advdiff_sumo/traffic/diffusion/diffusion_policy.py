@@ -98,7 +98,9 @@ class DiffusionTraffic:
         if self.options.licence != "reckless" and self.options.guided:
             options, preference = self.options, self.preference
             memory = DiffusionMemory(
-                commitments=Commitments.start(options.manoeuvre, rng, options.staged, preference=preference)
+                commitments=Commitments.start(
+                    options.manoeuvre, rng, options.staged, options.intensity, preference
+                )
             )
         if not self._has_planned:
             self._discard_first_plan(road, scene, memory)

@@ -1,8 +1,12 @@
-"""Prescribed severities of scripted attacks: those that the search for a margin varies."""
+"""Prescribed severities of lawful attacks: those that the search for a margin varies."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from pydantic import Field
+
+from advdiff_sumo.config import Options
 
 ONCOMING = "oncoming"
 """Name of the attack."""
@@ -12,6 +16,8 @@ BRAKING_KINDS = ("hard-stop", "cut-in", "stop-and-go", "blocked-lane", "double")
 """Kinds whose severity is how hard the attacker brakes."""
 GAP_KINDS = ("cut-in", "slow-merge", "pull-out")
 """Kinds whose severity is the gap at the entry into the target's lane."""
+SEVERITY_KINDS = (*dict.fromkeys((*BRAKING_KINDS, *GAP_KINDS)), "crossing", ONCOMING, "cut-out")
+"""All kinds whose severity can be prescribed."""
 MOST_SPARE_GAP_M = 25.0
 """Largest gap beyond the lawful one that may be prescribed for a lane change."""
 MOST_EARLY_S = 1.5
@@ -45,3 +51,25 @@ class Intensity:
 
 ANY_SEVERITY = Intensity()
 """No severity is prescribed."""
+
+
+class SeverityOptions(Options):
+    """Options of a background that prescribe the severity of lawful attacks; None: that with the highest merit.
+
+    Attributes:
+        braking_mps2: deceleration of an attacker that brakes, where and when it would brake anyway.
+        spare_gap_m: bumper gap beyond the lawful one at which a vehicle enters the target's lane; after a cut-in it
+            stops at 6.5 m/s².
+        early_s: how long before the target a vehicle with priority is where their ways meet.
+        reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
+    """
+
+    braking_mps2: float | None = Field(None, ge=0.5, le=HARDEST_MPS2)
+    spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
+    early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
+    reveals_s: float | None = Field(None, ge=LEAST_REVEALS_S, le=MOST_REVEALS_S)
+
+    @property
+    def intensity(self) -> Intensity:
+        """The prescribed severities."""
+        return Intensity(self.braking_mps2, self.spare_gap_m, self.early_s, self.reveals_s)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from advdiff_sumo.config import Options
 from advdiff_sumo.core.kinematic_states import KinematicStates
 from advdiff_sumo.core.plan import AttackState, JointPlan
 from advdiff_sumo.core.scene import Scene, Tracks
@@ -17,14 +16,7 @@ from advdiff_sumo.traffic.attack_names import Kind
 from advdiff_sumo.traffic.licence import LicenceName, licence_of
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
 from advdiff_sumo.traffic.manoeuvres.encounter_preference import EncounterPreference
-from advdiff_sumo.traffic.manoeuvres.intensity import (
-    HARDEST_MPS2,
-    LEAST_REVEALS_S,
-    MOST_EARLY_S,
-    MOST_REVEALS_S,
-    MOST_SPARE_GAP_M,
-    Intensity,
-)
+from advdiff_sumo.traffic.manoeuvres.intensity import SeverityOptions
 from advdiff_sumo.traffic.manoeuvres.manoeuvre import Manoeuvre, planned_motions
 from advdiff_sumo.traffic.manoeuvres.schedule import insert_vehicles, update_manoeuvres
 from advdiff_sumo.traffic.manoeuvres.situation_view import SituationView
@@ -36,20 +28,14 @@ if TYPE_CHECKING:
     from advdiff_sumo.maps import RoadMap
 
 
-class ScriptedOptions(Options):
-    """Options of ``scripted``.
+class ScriptedOptions(SeverityOptions):
+    """Options of ``scripted``, beside those that prescribe a severity.
 
     Attributes:
         attack: the kind of manoeuvre; "any": the one with the highest merit.
         licence: what attackers may do: "lawful", "careless" or "reckless".
         attackers: most vehicles in a manoeuvre at a time.
         pause_s: rest of a vehicle after a manoeuvre.
-        braking_mps2: deceleration of an attacker that brakes, where and when it would brake anyway; None: that with the
-            highest merit, as for the three options that follow.
-        spare_gap_m: bumper gap beyond the lawful one at which a vehicle enters the target's lane; after a cut-in it
-            stops at 6.5 m/s².
-        early_s: how long before the target a vehicle with priority is where their ways meet.
-        reveals_s: how long before it would reach a standing or slow vehicle a leader begins to leave the lane.
         staged: most vehicles that are inserted during an episode if an encounter lacks them; 0: none.
         reward: file of ``advdiff-sumo warmup``, to prefer encounters in which the target fails; empty: none.
     """
@@ -58,10 +44,6 @@ class ScriptedOptions(Options):
     licence: LicenceName = "lawful"
     attackers: int = Field(2, ge=1, le=8)
     pause_s: float = Field(8.0, ge=0.0, le=600.0)
-    braking_mps2: float | None = Field(None, ge=0.5, le=HARDEST_MPS2)
-    spare_gap_m: float | None = Field(None, ge=0.0, le=MOST_SPARE_GAP_M)
-    early_s: float | None = Field(None, ge=0.0, le=MOST_EARLY_S)
-    reveals_s: float | None = Field(None, ge=LEAST_REVEALS_S, le=MOST_REVEALS_S)
     staged: int = Field(DEFAULT_MAX_INSERTED, ge=0, le=20)
     reward: str = ""
 
@@ -85,8 +67,7 @@ class ScriptedTraffic:
     def start(self, road: RoadMap, scene: Scene, log: Tracks | None, rng: np.random.Generator) -> Commitments:  # noqa: ARG002 - the contract
         """Return the commitments of a new episode, with random weights of the kinds, so that episodes differ."""
         options = self.options
-        intensity = Intensity(options.braking_mps2, options.spare_gap_m, options.early_s, options.reveals_s)
-        return Commitments.start(options.attack, rng, options.staged, intensity, self.preference)
+        return Commitments.start(options.attack, rng, options.staged, options.intensity, self.preference)
 
     def plan(
         self,

@@ -26,6 +26,7 @@ from advdiff_sumo.traffic.diffusion.draw import draw_plan
 from advdiff_sumo.traffic.diffusion.guidance import ALPHA
 from advdiff_sumo.traffic.manoeuvres.agenda import Agenda
 from advdiff_sumo.traffic.manoeuvres.commitments import Commitments
+from advdiff_sumo.traffic.manoeuvres.intensity import Intensity
 from advdiff_sumo.traffic.policy_check import check_policy
 from advdiff_sumo.traffic.policy_registry import make_policy
 
@@ -67,6 +68,12 @@ def test_it_keeps_the_contract(
 
 def test_the_guide_uses_the_junction_term_for_oncoming() -> None:
     assert DiffusionOptions(attack="oncoming").attack_term == DiffusionOptions(attack="crossing").attack_term
+
+
+def test_a_reckless_attack_has_no_prescribed_severity() -> None:
+    assert DiffusionOptions(braking_mps2=4.0).intensity == Intensity(braking_mps2=4.0)
+    with pytest.raises(ConfigError, match="spare_gap_m: a reckless attack has no prescribed severity"):
+        DiffusionOptions.parse({"licence": "reckless", "spare_gap_m": 3.0}, "options")
 
 
 def test_a_plan_is_six_seconds_of_every_movable_vehicle(

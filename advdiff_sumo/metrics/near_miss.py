@@ -24,7 +24,6 @@ from advdiff_sumo.core.frames import unit
 from advdiff_sumo.core.record import EpisodeRecord
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.striking_rules import EXPECTED_BRAKE_MPS2
-from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.criticality import time_to_collision
 from advdiff_sumo.metrics.encounter import LEAST_SPEED_MPS
 from advdiff_sumo.metrics.kept_motion import (
@@ -33,13 +32,13 @@ from advdiff_sumo.metrics.kept_motion import (
     braked_s_m,
     continued_poses,
     first_contact_step,
-    velocity_mps,
     with_speed_kept,
     with_velocity_kept,
 )
 from advdiff_sumo.metrics.reference import ReferenceDrive, ReferenceDrivers
 from advdiff_sumo.metrics.reference.drive_contact import is_behind
 from advdiff_sumo.metrics.reference.own_way import OwnWay, joined_way, way_from
+from advdiff_sumo.metrics.reference.reference_drive import instant_as_collision
 from advdiff_sumo.metrics.target_contact import standing_overlaps
 
 #: Encounters with a least time to collision below this are near misses.
@@ -154,27 +153,7 @@ def _initial_contacts(record: EpisodeRecord) -> BoolArray:
 def _drive(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> ReferenceDrive | None:
     if step == 0 or not record.tracks.valid[record.target, : step + 1].all():
         return None
-    return ReferenceDrivers(record, road, _closest(record, row, step)).drive()
-
-
-def _closest(record: EpisodeRecord, row: int, step: int) -> Collision:
-    """Return the closest instant of the encounter as a collision, the form that :class:`ReferenceDrivers` takes."""
-    tracks, rows = record.tracks, [record.target, row]
-    offset = tracks.xy_m[row, step] - tracks.xy_m[record.target, step]
-    return Collision(
-        rows=(record.target, row),
-        step=step,
-        fraction=0.0,
-        time_s=tracks.t0_s + step * tracks.dt_s,
-        point_m=tracks.xy_m[record.target, step] + 0.5 * offset,
-        penetration_m=0.0,
-        initial=False,
-        xy_m=tracks.xy_m[rows, step],
-        yaw_rad=tracks.yaw_rad[rows, step],
-        velocity_mps=np.stack([velocity_mps(tracks, x, step) for x in rows]),
-        normal=offset / max(float(np.hypot(*offset)), 1e-9),
-        faces=("front", "rear"),
-    )
+    return ReferenceDrivers(record, road, instant_as_collision(record, row, step)).drive()
 
 
 def _needed_brake_mps2(record: EpisodeRecord, road: RoadMap, row: int, step: int) -> float:

@@ -19,6 +19,7 @@ class BreachKind(StrEnum):
     REVERSING = "reversing"
     OFF_ROAD = "off_road"
     CLOSE_FOLLOWING = "close_following"
+    NEEDLESS_BRAKING = "needless_braking"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from advdiff_sumo.metrics.breaches.giving_way import giving_way_breaches
 from advdiff_sumo.metrics.breaches.junction_rules import ON_RED, ran_red
 from advdiff_sumo.metrics.breaches.lane_rules import on_opposite_lane
 from advdiff_sumo.metrics.encounter import WRONG_WAY_RAD, junction_entries
+from advdiff_sumo.metrics.needless_braking import needless_braking
 from advdiff_sumo.metrics.placement import Placement
 from advdiff_sumo.metrics.traffic_view import TrafficView
 
@@ -25,7 +26,7 @@ OFFENCE_KINDS = frozenset(
     {
         *(BreachKind.RED_LIGHT, BreachKind.WRONG_SIDE, BreachKind.RIGHT_OF_WAY),
         *(BreachKind.UNSAFE_LANE_ENTRY, BreachKind.SIDEWAYS, BreachKind.CLOSE_FOLLOWING),
-        *(BreachKind.SPEEDING, BreachKind.REVERSING),
+        *(BreachKind.SPEEDING, BreachKind.REVERSING, BreachKind.NEEDLESS_BRAKING),
     }
 )
 """Rules that a target can break without a collision."""
@@ -39,7 +40,7 @@ _ROUNDING = 1e-6
 def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
     """Return the rules that the target broke, in time order.
 
-    Speeding, wrong side, reversing and close following are returned at most once each.
+    Speeding, wrong side, reversing, close following and needless braking are returned at most once each.
 
     Leaving the road counts as a collision and is not included. A red light counts if the signal was red from the
     instant before the front passed the line until the centre was on the junction. Giving way counts if a vehicle with
@@ -58,6 +59,7 @@ def offences(record: EpisodeRecord, road: RoadMap) -> tuple[Breach, ...]:
         giving_way_breaches(record, view),
         unsafe_lane_entries(record, view),
         close_following(record, view),
+        needless_braking(record, view),
         _wrong_side(view, record.target),
         _speed_and_direction(view, record.target),
     )

@@ -72,7 +72,7 @@ def way_from(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) ->
         step: instant of the record at which the target is present.
         reach_m: required length of the way.
     """
-    path = _lane_path(record, road, step, reach_m)
+    path = lane_path_at(record, road, step, reach_m)
     if path is None:
         return driven_way(record, step, record.tracks.steps - 1)
     row, tracks = record.target, record.tracks
@@ -116,7 +116,7 @@ def joined_way(record: EpisodeRecord, road: RoadMap, start: int, stop: int, reac
     return OwnWay(line, links, _pace(line))
 
 
-def _lane_path(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> LanePath | None:
+def lane_path_at(record: EpisodeRecord, road: RoadMap, step: int, reach_m: float) -> LanePath | None:
     """Return the lanes from the target's position: along its route, else as it drove, else straight on."""
     route = _remaining_route(record, road, step)
     row, tracks = record.target, record.tracks

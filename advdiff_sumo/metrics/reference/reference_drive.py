@@ -20,6 +20,7 @@ from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.metrics.breaches.conduct_rules import REVERSING_MPS
 from advdiff_sumo.metrics.collision import Collision
 from advdiff_sumo.metrics.encounter import Encounter
+from advdiff_sumo.metrics.kept_motion import velocity_mps
 from advdiff_sumo.metrics.reference.corridor import (
     Corridor,
     Meeting,
@@ -155,6 +156,12 @@ class ReferenceDrivers:
         corridor = self._recorded_corridor if way is self._recorded_way else self._corridor_on(way)
         s, speed, accel, least_s = self._simulate(driver, way, corridor, start)
         return self._result(driver, start, way, s, speed, accel, least_s)
+
+    def hardest_braking_mps2(self, model: str, instants: int) -> float:
+        """Return the hardest braking of *model* in the first *instants* of a drive from the earliest takeover on."""
+        way = self._route_way
+        _, _, accel, _ = self._simulate(MODELS[model], way, self._corridor_on(way), 0)
+        return max(0.0, -float(accel[:instants].min()))
 
     # --- shared by all drivers ----------------------------------------------------------------------------
 
@@ -377,3 +384,23 @@ def drive_all(
     """
     drivers = ReferenceDrivers(record, road, collision, lookback_s)
     return {model: drivers.drive(model) for model in MODELS}
+
+
+def instant_as_collision(record: EpisodeRecord, row: int, step: int) -> Collision:
+    """Return an instant of an encounter with *row* as a collision, the form that :class:`ReferenceDrivers` takes."""
+    tracks, rows = record.tracks, [record.target, row]
+    offset = tracks.xy_m[row, step] - tracks.xy_m[record.target, step]
+    return Collision(
+        rows=(record.target, row),
+        step=step,
+        fraction=0.0,
+        time_s=tracks.t0_s + step * tracks.dt_s,
+        point_m=tracks.xy_m[record.target, step] + 0.5 * offset,
+        penetration_m=0.0,
+        initial=False,
+        xy_m=tracks.xy_m[rows, step],
+        yaw_rad=tracks.yaw_rad[rows, step],
+        velocity_mps=np.stack([velocity_mps(tracks, x, step) for x in rows]),
+        normal=offset / max(float(np.hypot(*offset)), 1e-9),
+        faces=("front", "rear"),
+    )

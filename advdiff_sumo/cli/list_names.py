@@ -26,6 +26,8 @@ def list_names(
 ) -> None:
     """List the targets, backgrounds, shipped nets or planted defects that there are, plug-ins included.
 
+    Of a defect: what it stands for, its parameter with the values of weak, middle and strong, and SUMO's attributes.
+
     advdiff-sumo list targets
     """
     names = _described_names(kind)
@@ -47,7 +49,7 @@ def _described_names(kind: ListedKind) -> dict[str, str]:
     if kind is ListedKind.defects:
         from advdiff_sumo.planners.defects import DEFECTS
 
-        return {name: defect.stands_for for name, defect in DEFECTS.items()}
+        return {name: defect.description for name, defect in DEFECTS.items()}
     if kind is ListedKind.targets:
         from advdiff_sumo.planners.planner_registry import TARGETS
 

@@ -40,6 +40,17 @@ class DefectKind:
     sumo: Callable[[float], SumoParams] | None = None
     sumo_note: str = ""
 
+    @property
+    def severities(self) -> str:
+        """The values of the three severities with their unit."""
+        return f"{', '.join(f'{value:g}' for value in self.values)} {self.unit}".strip()
+
+    @property
+    def description(self) -> str:
+        """What it stands for, its parameter and severities, and its form in SUMO's driver models."""
+        sumo = f"; in SUMO's driver models: {self.sumo_note.replace('`', '')}" if self.sumo else ""
+        return f"{self.stands_for} ({self.parameter}: {self.severities}){sumo}"
+
 
 def _brakes(value: float) -> SumoParams:
     return {"decel": value, "emergencyDecel": value}
@@ -284,14 +295,8 @@ DEFECTS: Mapping[str, DefectKind] = {kind.name: kind for kind in _KINDS}
 
 
 def catalogue_table() -> str:
-    """Return the catalogue as a Markdown table; *–* stands for the reason that most defects share."""
-    lines = [
-        "| defect | stands for | parameter | weak, middle, strong | SUMO's driver models |",
-        "|---|---|---|---|---|",
-    ]
-    for kind in DEFECTS.values():
-        values = ", ".join(f"{value:g}" for value in kind.values)
-        sumo = "–" if kind.sumo_note.startswith(f"none: {_MODELS_SEE}") else kind.sumo_note
-        cells = (f"`{kind.name}`", kind.stands_for, kind.parameter, f"{values} {kind.unit}".strip(), sumo)
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    """Return all defects with their severities as a Markdown table, and a line with those that SUMO has, too."""
+    lines = ["| defect | stands for | weak, middle, strong |", "|---|---|---|"]
+    lines += [f"| `{kind.name}` | {kind.stands_for} | {kind.severities} |" for kind in DEFECTS.values()]
+    in_sumo = ", ".join(f"`{kind.name}`" for kind in DEFECTS.values() if kind.sumo)
+    return "\n".join([*lines, "", f"In SUMO's driver models, too: {in_sumo}."]) + "\n"

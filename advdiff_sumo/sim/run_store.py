@@ -29,7 +29,7 @@ STATE_COLUMNS: Mapping[str, Column] = {
     "controller": Column(
         "str",
         "",
-        "who moved it in this step: sumo, policy, planner, or replayed (its log)",
+        "who moved it: sumo, policy, planner, or replayed (its log)",
         nullable=False,
     ),
     "is_target": Column("bool", "", "whether it is the target", nullable=False),
@@ -37,10 +37,10 @@ STATE_COLUMNS: Mapping[str, Column] = {
 PLAN_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
     "made_s": Column("float64", "s", "when the plan was made", nullable=False),
-    "agent": Column("str", "", "whose plan: the target, or a vehicle that the policy moves", nullable=False),
+    "agent": Column("str", "", "whose plan", nullable=False),
     "time_s": Column("float64", "s", "when it would be there", nullable=False),
-    "x_m": Column("float64", "m", "east and north, planned centre of the box, to 1 cm", nullable=False),
-    "y_m": Column("float64", "m", "east and north, planned centre of the box, to 1 cm", nullable=False),
+    "x_m": Column("float64", "m", "planned centre of the box, to 1 cm", nullable=False),
+    "y_m": Column("float64", "m", "planned centre of the box, to 1 cm", nullable=False),
 }
 NATURAL_COLUMNS: Mapping[str, Column] = {
     name: column for name, column in STATE_COLUMNS.items() if name != "controller"
@@ -49,7 +49,7 @@ SIGNAL_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),
     "step": Column("int64", "", "first SUMO step at which it shows this", nullable=False),
     "traffic_light": Column("str", "", "SUMO's id of the traffic light", nullable=False),
-    "state": Column("str", "", "SUMO's letters, one a connection: r, y, g, G, u, o, O, s", nullable=False),
+    "state": Column("str", "", "SUMO's letters, one a connection", nullable=False),
 }
 TIMING_COLUMNS: Mapping[str, Column] = {
     "episode": Column("int64", "", "number of the episode in its run", nullable=False),

@@ -176,7 +176,7 @@ def _suggest(key: str) -> str:
     if key in SumoDriverOptions.model_fields:
         return f"'{key}' is an option of its own, set it beside 'params'"
     hint = did_you_mean(key, PARAMS)
-    return hint if hint.startswith("did") else "see docs/planners.md for the list"
+    return hint if hint.startswith("did") else "SUMO's page on vehicle types lists them"
 
 
 def sumo_driver(car_following: str, options: Mapping[str, Any]) -> SumoDriver:

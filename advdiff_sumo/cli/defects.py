@@ -84,7 +84,7 @@ def defects(
 
     advdiff-sumo defects --target my_planner:MyPlanner --background scripted --net city.net.xml --scenes 30
 
-    The catalogue is in docs/defects.md. An interrupted one goes on with the same command; more scenes or defects in
+    advdiff-sumo list defects prints the catalogue. An interrupted one goes on with the same command; more scenes or defects in
     the same folder run only what is missing.
     """
     if not target.strip():

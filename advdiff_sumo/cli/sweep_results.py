@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -313,12 +314,17 @@ def _print_coverage(console: Console, plan: SweepPlan, episodes: Sequence[Row]) 
         f"coverage: {100 * covered.share:.0f} % of {combinations}; collisions / episodes",
         *("attack", "junction", *bands()),
     )
-    for attack in covered.attacks:
-        for junction in covered.junctions:
-            cells = (covered.cells[attack, junction, band] for band in bands())
+    untried: dict[str, list[str]] = {}
+    for attack, junction in product(covered.attacks, covered.junctions):
+        cells = [covered.cells[attack, junction, band] for band in bands()]
+        if any(cell.episodes for cell in cells):
             counts = (f"{c.collisions} / {c.episodes}" if c.episodes else "–" for c in cells)
             table.add_row(attack, junction, *counts)
+        else:
+            untried.setdefault(attack, []).append(junction)
     table.print(console)
+    for attack, junctions in untried.items():
+        console.print(f"no episode of {attack} at: {', '.join(junctions)}", soft_wrap=True)
 
 
 def _print_archive(console: Console, episodes: Sequence[Row]) -> None:

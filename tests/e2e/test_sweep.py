@@ -57,7 +57,16 @@ def test_a_sweep_from_file_to_verdict(
     ]
     assert [cells[:4] for cells in totals[:2]] == [["all", "of", name, "3"] for name in ("IDM", "lane_graph")]
     assert totals[2][:2] == ["all", "6"]
-    assert "coverage:" in done.out
+    covered = done.out.partition("coverage:")[2].partition("archive:")[0].splitlines()
+    rows = [line.replace("│", " ").split() for line in covered if line.startswith("│")]
+    assert rows
+    assert all("/" in row for row in rows)
+    tried = {row[1] for row in rows}
+    (untried,) = [
+        line.partition(" at: ")[2].split(", ") for line in covered if line.startswith("no episode of")
+    ]
+    assert untried
+    assert tried.isdisjoint(untried)
     assert "look at done/report.html" in done.out
     assert b"<title>done " in (sweeps / "done" / "report.html").read_bytes()
     suites = parse(sweeps / "ci" / "junit.xml").getroot()

@@ -84,8 +84,8 @@ def defects(
 
     advdiff-sumo defects --target my_planner:MyPlanner --background scripted --net city.net.xml --scenes 30
 
-    advdiff-sumo list defects prints the catalogue. An interrupted one goes on with the same command; more scenes or defects in
-    the same folder run only what is missing.
+    advdiff-sumo list defects prints the catalogue. An interrupted one goes on with the same command; more scenes or
+    defects in the same folder run only what is missing.
     """
     if not target.strip():
         raise ConfigError("--target is empty; name a planner, such as lane_graph")

@@ -78,7 +78,7 @@ def test_a_page_without_a_place_for_a_table_is_refused() -> None:
 def test_words_of_the_tables_are_explained() -> None:
     page = (ROOT / "docs" / "outputs.md").read_text()
     for table in TABLES:
-        assert f"## `{table}.parquet`" in page
+        assert f"| `{table}.parquet` |" in page
     for word in (*EndReason, *(kind.kind for kind in EpisodeFailure.__subclasses__())):
         assert f"`{word}`" in page
 

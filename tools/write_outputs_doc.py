@@ -14,41 +14,22 @@ from advdiff_sumo.sim.run_store import TABLES
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "outputs.md"
 _PLACE = re.compile(r"(<!-- columns of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_FEWEST_SHARED = 2
-"""At least this many successive columns of an earlier table become one row."""
+SHOWN = ("episodes", "states")
+"""Tables whose columns the page shows; ``advdiff-sumo list columns`` prints all."""
 _IN_EVERY_TABLE = "episode"
 """This column is explained in the page's introduction."""
 
 
-def table(columns: Mapping[str, Column], above: Mapping[str, Mapping[str, Column]]) -> str:
-    """Return *columns* as a Markdown table; successive columns with the same description share a row.
-
-    Successive columns that are the same in a table *above* become one row, which refers to that table.
-    """
+def table(columns: Mapping[str, Column]) -> str:
+    """Return *columns* as a Markdown table; successive columns with the same description share a row."""
     lines = ["| column | meaning |", "|---|---|"]
     names = [name for name in columns if name != _IN_EVERY_TABLE]
     while names:
-        run, source = max(
-            ((_shared(names, columns, other), name) for name, other in above.items()), default=([], "")
-        )
-        if len(run) >= _FEWEST_SHARED:
-            lines.append(f"| `{run[0]}` to `{run[-1]}` | the {len(run)} columns as in `{source}` |")
-        else:
-            run = _with_same_description(names, columns)
-            cells = ", ".join(f"`{name}`{'?' * columns[name].nullable}" for name in run)
-            lines.append(f"| {cells} | {columns[run[0]].description} |")
+        run = _with_same_description(names, columns)
+        cells = ", ".join(f"`{name}`{'?' * columns[name].nullable}" for name in run)
+        lines.append(f"| {cells} | {columns[run[0]].description} |")
         names = names[len(run) :]
     return "\n".join(lines) + "\n"
-
-
-def _shared(names: list[str], columns: Mapping[str, Column], above: Mapping[str, Column]) -> list[str]:
-    """Return the leading *names* that are the same successive columns in *above*."""
-    candidates = list(above)[list(above).index(names[0]) :] if names[0] in above else []
-    is_same = [
-        name == other and columns[name] == above[other]
-        for name, other in zip(names, candidates, strict=False)
-    ]
-    return names[: [*is_same, False].index(False)]
 
 
 def _with_same_description(names: list[str], columns: Mapping[str, Column]) -> list[str]:
@@ -64,13 +45,9 @@ def filled(page: str) -> str:
         ValueError: a table has no place, or a place has no table.
     """
     places = [name for _, name, _ in _PLACE.findall(page)]
-    if sorted(places) != sorted(TABLES):
-        raise ValueError(f"the page has places for {places}, the tables are {list(TABLES)}")
-    tables = {
-        name: table(TABLES[name], {other: TABLES[other] for other in places[:i]})
-        for i, name in enumerate(places)
-    }
-    return _PLACE.sub(lambda place: place[1] + tables[place[2]] + place[3], page)
+    if sorted(places) != sorted(SHOWN):
+        raise ValueError(f"the page has places for {places}, the tables are {list(SHOWN)}")
+    return _PLACE.sub(lambda place: place[1] + table(TABLES[place[2]]) + place[3], page)
 
 
 def write_or_check(page: Path, fill: Callable[[str], str], about: str | None, source: str) -> int:

@@ -18,15 +18,17 @@ class ListedKind(StrEnum):
     backgrounds = "backgrounds"
     nets = "nets"
     defects = "defects"
+    columns = "columns"
 
 
 def list_names(
     kind: Annotated[ListedKind, typer.Argument(help="What to list.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """List the targets, backgrounds, shipped nets or planted defects that there are, plug-ins included.
+    """List the targets, backgrounds, shipped nets or planted defects that there are, or the columns of the tables.
 
-    Of a defect: what it stands for, its parameter with the values of weak, middle and strong, and SUMO's attributes.
+    Targets and backgrounds include plug-ins. Of a defect: what it stands for, its parameter with the values of weak,
+    middle and strong, and SUMO's attributes.
 
     advdiff-sumo list targets
     """
@@ -50,6 +52,10 @@ def _described_names(kind: ListedKind) -> dict[str, str]:
         from advdiff_sumo.planners.defects import DEFECTS
 
         return {name: defect.description for name, defect in DEFECTS.items()}
+    if kind is ListedKind.columns:
+        from advdiff_sumo.sweep.sweep_columns import described_columns
+
+        return described_columns()
     if kind is ListedKind.targets:
         from advdiff_sumo.planners.planner_registry import TARGETS
 

@@ -52,16 +52,17 @@ VERDICT_COLUMNS: Mapping[str, Column] = {
     "preventable": _flag("CC_human_driver would not have collided", nullable=True),
     "preventable_by": _text("the reference drivers that would not have collided"),
     "lawful": _flag("the other broke no rule that led to it", nullable=True),
-    "target_breaches": _text("broken rules that led to it"),
-    "other_breaches": _text("broken rules that led to it"),
+    "target_breaches": _text("broken rules that led to the collision"),
+    "other_breaches": _text("broken rules that led to the collision"),
     "spare_m": _real(
-        "m", "by how much CC_human_driver avoids it, in space and time (5 s at most), or its closing speed"
+        "m", "by how much CC_human_driver avoids the collision, in m and s (5 at most), or its closing speed"
     ),
     "spare_s": _real(
-        "s", "by how much CC_human_driver avoids it, in space and time (5 s at most), or its closing speed"
+        "s", "by how much CC_human_driver avoids the collision, in m and s (5 at most), or its closing speed"
     ),
     "impact_left_mps": _real(
-        "m/s", "by how much CC_human_driver avoids it, in space and time (5 s at most), or its closing speed"
+        "m/s",
+        "by how much CC_human_driver avoids the collision, in m and s (5 at most), or its closing speed",
     ),
     "solvable": _flag("the search avoids it; empty unless verdict --search asked", nullable=True),
     "unavoidable": _flag(
@@ -84,7 +85,9 @@ CRITICAL_COLUMNS: Mapping[str, Column] = {
 }
 
 OFFENCE_COLUMNS: Mapping[str, Column] = {
-    "offences": _text("rules that it broke, collision or not; empty: unknown, as in earlier versions"),
+    "offences": _text(
+        "rules that the target broke, collision or not; empty: unknown, as in earlier versions"
+    ),
     "offences_text": _text("the same as a sentence, with times"),
 }
 
@@ -92,11 +95,11 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "episode": _count("number of the episode in its run"),
     "scene": _text("name of the seed scene", nullable=False),
     "seed": _count("SUMO's seed of that scene's simulation"),
-    "end": _text("why the episode ended (above)", nullable=False),
+    "end": _text("why the episode ended: horizon, collision, arrived, log_end, failed", nullable=False),
     "duration_s": _real("s", "simulated time", nullable=False),
-    "route": _text("edges of its route, separated by blanks"),
+    "route": _text("edges of the target's route, separated by blanks"),
     "agents": _count("road users in the record, with the target"),
-    "target_collision": _flag("it collided or left the road"),
+    "target_collision": _flag("the target collided or left the road"),
     "collision_time_s": _real("s", "first contact"),
     "collision_partner": _text("id of the other; empty when the target left the road"),
     "collision_type": _text("kind (metrics.md): junction, head_on, cut_in, rear_end_striking, …"),
@@ -149,28 +152,44 @@ EPISODE_COLUMNS: Mapping[str, Column] = {
     "min_clearance_m": _real("m", "least distance of boxes, 0 in a collision; with whom, when"),
     "min_clearance_partner": _text("least distance of boxes, 0 in a collision; with whom, when"),
     "min_clearance_time_s": _real("s", "least distance of boxes, 0 in a collision; with whom, when"),
-    "accel_mean_mps2": _real("m/s²", "absolute values; acceleration and jerk along the heading"),
-    "accel_max_mps2": _real("m/s²", "absolute values; acceleration and jerk along the heading"),
-    "brake_max_mps2": _real("m/s²", "absolute values; acceleration and jerk along the heading"),
-    "lateral_mean_mps2": _real("m/s²", "absolute values; acceleration and jerk along the heading"),
-    "lateral_max_mps2": _real("m/s²", "absolute values; acceleration and jerk along the heading"),
-    "jerk_mean_mps3": _real("m/s³", "absolute values; acceleration and jerk along the heading"),
-    "jerk_max_mps3": _real("m/s³", "absolute values; acceleration and jerk along the heading"),
-    "yaw_rate_mean_radps": _real("rad/s", "absolute values; acceleration and jerk along the heading"),
-    "yaw_rate_max_radps": _real("rad/s", "absolute values; acceleration and jerk along the heading"),
+    "accel_mean_mps2": _real(
+        "m/s²", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "accel_max_mps2": _real(
+        "m/s²", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "brake_max_mps2": _real(
+        "m/s²", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "lateral_mean_mps2": _real(
+        "m/s²", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "lateral_max_mps2": _real(
+        "m/s²", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "jerk_mean_mps3": _real(
+        "m/s³", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "jerk_max_mps3": _real("m/s³", "of the target, absolute values; acceleration and jerk along the heading"),
+    "yaw_rate_mean_radps": _real(
+        "rad/s", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
+    "yaw_rate_max_radps": _real(
+        "rad/s", "of the target, absolute values; acceleration and jerk along the heading"
+    ),
     "bv_collisions": _count("background collisions; of two that follow their log"),
     "replayed_collisions": _later_count("background collisions; of two that follow their log"),
     "bv_offroad_share": _real("", "share of a moved box off the road; vehicles once over half off"),
     "bv_offroad_max_share": _real("", "share of a moved box off the road; vehicles once over half off"),
     "bv_offroad_vehicles": _count("share of a moved box off the road; vehicles once over half off"),
-    "route_progress_m": _real("m", "how far it came along its route; as a share; to the end"),
-    "route_share": _real("", "how far it came along its route; as a share; to the end"),
-    "route_completed": _flag("how far it came along its route; as a share; to the end"),
-    "distance_m": _real("m", "its driven path and speed", nullable=False),
-    "speed_mean_mps": _real("m/s", "its driven path and speed"),
-    "speed_max_mps": _real("m/s", "its driven path and speed"),
-    "failure_kind": _text("why the episode could not be finished: a word (above), a sentence"),
-    "failure_message": _text("why the episode could not be finished: a word (above), a sentence"),
+    "route_progress_m": _real("m", "how far the target came along its route; as a share; to the end"),
+    "route_share": _real("", "how far the target came along its route; as a share; to the end"),
+    "route_completed": _flag("how far the target came along its route; as a share; to the end"),
+    "distance_m": _real("m", "the target's driven path and speed", nullable=False),
+    "speed_mean_mps": _real("m/s", "the target's driven path and speed"),
+    "speed_max_mps": _real("m/s", "the target's driven path and speed"),
+    "failure_kind": _text("why the episode failed: a word, a sentence"),
+    "failure_message": _text("why the episode failed: a word, a sentence"),
 }
 
 COLLISION_COLUMNS: Mapping[str, Column] = {

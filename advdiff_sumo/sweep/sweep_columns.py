@@ -60,6 +60,16 @@ SWEEP_TABLES: Mapping[str, Mapping[str, Column]] = {
 }
 
 
+def described_columns() -> dict[str, str]:
+    """Return ``table.column`` → what it holds, for all tables of runs and sweeps."""
+    return {
+        f"{table}.{name}": column.description
+        + "; may be empty" * (column.nullable and "empty" not in column.description)
+        for table, columns in SWEEP_TABLES.items()
+        for name, column in columns.items()
+    }
+
+
 def job_row(job: Job, options: RunOptions) -> dict[str, Any]:
     """Return the values of ``JOB_COLUMNS`` for *job*, whose run has *options*."""
     background_options = options.background_options

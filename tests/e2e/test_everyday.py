@@ -169,6 +169,10 @@ def test_no_bar_and_no_colour_in_a_pipe(here: Callable[..., Outcome], workplace:
         ("backgrounds", {"sumo", "replay", "diffusion"}),
         ("nets", {"downtown", "downtown-left", "downtown-people", "motorway"}),
         ("defects", set(DEFECTS)),
+        (
+            "columns",
+            {"episodes.valid_failure", "episodes.junction_type", "states.yaw_rad", "failures.log_tail"},
+        ),
     ],
 )
 def test_lists(here: Callable[..., Outcome], kind: str, names: set[str]) -> None:

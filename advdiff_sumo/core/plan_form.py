@@ -14,6 +14,8 @@ from advdiff_sumo.core.plan import Controls, Plan, Trajectory
 _MAX_CONTROL_MPS2 = 50.0
 _MAX_INTERVAL_S = 10.0
 """Greatest interval between the instants of a plan; a greater one is most likely in milliseconds."""
+_MOST_STEPS = 10_000
+"""Most steps of a plan; to drive more, as the simulation does ahead, takes minutes and gigabytes."""
 #: Number of dimensions of each array of a plan.
 _DIMENSIONS = {"accel_mps2": 1, "steer_rad": 1, "xy_m": 2, "yaw_rad": 1, "speed_mps": 1}
 
@@ -43,6 +45,8 @@ def form_problem(plan: Plan, model_step_s: float, replan_every: int = 1) -> str:
     if problem:
         return f"dt_s {problem}"
     steps = min(len(array) for array in arrays.values())
+    if steps > _MOST_STEPS:
+        return f"it has {steps} steps, over {_MOST_STEPS}; plan some seconds"
     return _length_problem(steps * plan.dt_s, model_step_s, replan_every)
 
 

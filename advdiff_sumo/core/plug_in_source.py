@@ -1,7 +1,8 @@
-"""Find the file and line of a planner's or policy's own code, for error messages."""
+"""Check a planner's methods, and find the file and line of its or a policy's own code, for error messages."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib.util
 import inspect
@@ -37,11 +38,11 @@ def message_of(error: BaseException) -> str:
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Return whether *error* means that memory ran out, in Python, NumPy or PyTorch.
+    """Return whether *error* means that memory ran out, in Python, the system, NumPy or PyTorch.
 
     PyTorch raises a RuntimeError on the CPU, and its own OutOfMemoryError on a GPU.
     """
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
         return True
     is_from_gpu = type(error).__name__ == "OutOfMemoryError"
     return isinstance(error, RuntimeError) and (is_from_gpu or "can't allocate memory" in described(error))

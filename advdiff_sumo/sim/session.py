@@ -8,7 +8,6 @@ import io
 import locale
 import logging
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from advdiff_sumo.core.errors import SimulationError, StartRefusedError
+from advdiff_sumo.core.output import flush_output
 from advdiff_sumo.maps.sumo_files import sumo_home
 
 _log = logging.getLogger(__name__)
@@ -158,8 +158,7 @@ def _binary(name: str) -> str:
 @contextlib.contextmanager
 def _quiet() -> Iterator[Any]:
     """Redirect what SUMO writes to the terminal into a file; yield a function that returns the text."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    flush_output()
     saved = os.dup(1), os.dup(2)
     with tempfile.TemporaryFile() as sink:
 

@@ -33,6 +33,7 @@ from advdiff_sumo.sweep.work import perform
 from advdiff_sumo.sweep.worker_sandbox import (
     RECYCLED,
     outcome_of_dead_worker,
+    outcome_without_answer,
     prepare_worker,
     run_sandboxed,
 )
@@ -174,6 +175,9 @@ class ProcessExecutor(AbstractContextManager["ProcessExecutor"]):
         except BrokenProcessPool:
             self._discard(slot)
             return outcome_of_dead_worker(task, limits, None, "was killed while it took the task")
+        except Exception as error:  # noqa: BLE001 - without memory, handling a fault fails in any way
+            self._discard(slot)
+            outcome = outcome_without_answer(task, limits, error)
         self._overdue.pop(task.key, None)
         return outcome
 

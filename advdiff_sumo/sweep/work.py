@@ -64,19 +64,23 @@ def perform(task: Task, heartbeat: Heartbeat | None = None, run: Run | None = No
         product = _product(task, heartbeat, run)
     except AdvdiffError as error:
         failed = Failed(_kind(error), str(error))
-    except OSError as error:
-        kind = NO_ROOM if is_disk_full(error) else "error"
-        failed = Failed(kind, f"{type(error).__name__}: {error}", traceback.format_exc())
     except BaseException as error:  # any fault of a plug-in is recorded and ends nothing
         if isinstance(error, KeyboardInterrupt) and hears_ctrl_c():
             raise
-        problem = "the worker ran out of memory" if (full := lacks_memory(error)) else type(error).__name__
-        failed = Failed(
-            "out_of_memory" if full else "error", f"{problem}{message_of(error)}", traceback.format_exc()
-        )
+        failed = failed_by(error)
     else:
         return Outcome(task.key, product, None, time.perf_counter() - start_s)
     return Outcome(task.key, (), failed, time.perf_counter() - start_s, heartbeat.steps)
+
+
+def failed_by(error: BaseException) -> Failed:
+    """Return the failure of a task that *error* ended."""
+    kind, problem = "error", type(error).__name__
+    if isinstance(error, OSError) and is_disk_full(error):
+        kind = NO_ROOM
+    elif lacks_memory(error):
+        kind, problem = "out_of_memory", "the worker ran out of memory"
+    return Failed(kind, f"{problem}{message_of(error)}", "".join(traceback.format_exception(error)))
 
 
 def _product(task: Task, heartbeat: Heartbeat, run: Run | None) -> tuple[bytes, ...]:

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from multiprocessing import parent_process
 from pathlib import Path
@@ -19,13 +20,14 @@ from typing import IO
 
 import pyarrow as pa
 
+from advdiff_sumo.core.output import flush_output
 from advdiff_sumo.core.plug_in_source import crashed_at
 from advdiff_sumo.core.process_end import UNSEEN
 from advdiff_sumo.core.threads import one_thread_for_good
 from advdiff_sumo.core.worker_start import ignore_interrupts, keep_temporary_files_in
 from advdiff_sumo.sim.heartbeat import NOT_STARTED, Beat, Heartbeat, ProcessPhase
 from advdiff_sumo.sweep.tasks import EpisodeTask, Failed, Outcome, Task, WorkerLimits
-from advdiff_sumo.sweep.work import data_bytes, perform, rss_mb
+from advdiff_sumo.sweep.work import data_bytes, failed_by, perform, rss_mb
 
 #: Exit code of a worker that ends to be replaced by a new one.
 RECYCLED = 75
@@ -96,11 +98,7 @@ def outcome_of_dead_worker(
         how: how it ended, as the end of a sentence; "" if it was ended at its time limit.
         overdue: whether it was ended because a plan, a step of SUMO or making a planner took too long.
     """
-    log, heartbeat = limits.log_of(task.key), limits.heartbeat_of(task.key)
-    tail, beat = tail_of(log), Heartbeat.read(heartbeat)
-    for file in (log, heartbeat):
-        with contextlib.suppress(OSError):
-            file.unlink()
+    tail, beat = _left_behind(task, limits)
     steps = NOT_STARTED if beat is None else beat.steps
     if overdue and beat is not None and isinstance(task, EpisodeTask):
         failed = _overdue(task, limits, beat, tail)
@@ -117,6 +115,22 @@ def outcome_of_dead_worker(
     else:
         failed = Failed("worker_died", f"the worker {how}", tail)
     return Outcome(task.key, (), failed, steps=steps)
+
+
+def outcome_without_answer(task: Task, limits: WorkerLimits, error: Exception) -> Outcome:
+    """Return the outcome of a task whose worker lives, but raised *error* while it handled a fault."""
+    _, beat = _left_behind(task, limits)
+    return Outcome(task.key, (), failed_by(error), steps=NOT_STARTED if beat is None else beat.steps)
+
+
+def _left_behind(task: Task, limits: WorkerLimits) -> tuple[str, Beat | None]:
+    """Return the end of the log of a task and its last heartbeat, and remove both files."""
+    log, heartbeat = limits.log_of(task.key), limits.heartbeat_of(task.key)
+    tail, beat = tail_of(log), Heartbeat.read(heartbeat)
+    for file in (log, heartbeat):
+        with contextlib.suppress(OSError):
+            file.unlink()
+    return tail, beat
 
 
 def _crashed(task: EpisodeTask, beat: Beat, how: str, tail: str) -> Failed:
@@ -192,22 +206,28 @@ def _watched(log: Path, timeout_s: float) -> Iterator[Callable[[], str]]:
     """Redirect the output of this process to *log*; at the time limit write the stack there and end the process."""
     with log.open("wb") as file:
         saved = os.dup(1), os.dup(2)
-        _flushed()
+        flush_output()
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
         faulthandler.enable(file=file)
         end_after(timeout_s, file)
         try:
-            yield lambda: _flushed() or tail_of(log)
+            yield partial(_text_so_far, log)
         finally:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
-            _flushed()
+            flush_output()
             for descriptor, original in zip((1, 2), saved, strict=True):
                 os.dup2(original, descriptor)
                 os.close(original)
     with contextlib.suppress(OSError):
         log.unlink()
+
+
+def _text_so_far(log: Path) -> str:
+    """Return the end of what this process has written to *log*."""
+    flush_output()
+    return tail_of(log)
 
 
 def end_after(timeout_s: float, file: IO[bytes] | None = None) -> None:
@@ -216,10 +236,3 @@ def end_after(timeout_s: float, file: IO[bytes] | None = None) -> None:
         faulthandler.dump_traceback_later(
             min(timeout_s, threading.TIMEOUT_MAX), exit=True, file=sys.stderr if file is None else file
         )
-
-
-def _flushed() -> str:
-    """Flush standard output and error; return ""."""
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    return ""

@@ -73,6 +73,12 @@ def eat():
         hold.append(np.ones(8_000_000))
 
 
+def mute():
+    sys.stdout.close()
+    sys.stderr = None
+    return well()
+
+
 class Ill:
     """Its deed in the third plan is read from a file by the first random number of the episode."""
 
@@ -147,6 +153,7 @@ KINDS = {
     "uneven": ("plan_refused", f"accel_mps2 (10,), steer_rad (7,) {PLAN}"),
     "hang": ("planner_timeout", f"s at 1.0 s of the episode {at('time.sleep', 'hang')}"),
     "eat": ("out_of_memory", f"ran out of memory {at('hold.append', 'eat')}"),
+    "mute": (None, ""),
 }
 RUN = ("run", "--net", "grid.net.xml", *TINY)
 

@@ -139,6 +139,10 @@ ONES, LISTED = np.ones(5), [0.0] * 5
         (Controls(ONES, ONES.astype(np.complex128), 0.1), "steer_rad holds complex128, not numbers"),
         (Controls(np.float64(1.0), ONES, 0.1), "accel_mps2 is of type float64, not a NumPy array"),  # type: ignore[arg-type] # as above
         (Controls(np.array(1.0), ONES, 0.1), r"accel_mps2 has shape \(\), not \(T,\)"),
+        (
+            Controls(np.zeros(10_001), np.zeros(10_001), 0.1),
+            "it has 10001 steps, over 10000; plan some seconds",
+        ),
         (Controls(ONES, ONES, 0.0), "dt_s is 0.0, not a positive number of seconds"),
         (Controls(ONES, ONES, -0.1), "dt_s is -0.1, not a positive"),
         (Controls(ONES, ONES, 500.0), "dt_s is 500 s, over 10 s; give it in seconds, not in milliseconds"),

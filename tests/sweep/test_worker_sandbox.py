@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
+import sys
 import time
+from collections.abc import Callable
 from multiprocessing import forkserver
 
 import pytest
 
+from advdiff_sumo.core.errors import AdvdiffError
 from advdiff_sumo.core.process_end import UNSEEN, how_it_ended
 from advdiff_sumo.sim.heartbeat import Heartbeat, ProcessPhase
 from advdiff_sumo.sim.run_episodes import RunOptions
@@ -55,3 +59,44 @@ def test_after_the_death_of_the_fork_server_new_workers_start(
         )
         assert outcome_of(CallTask("answers", answers), executor).product == (b"here",)
         assert worker not in executor.workers()
+
+
+class HungryError(AdvdiffError):
+    """An error whose message takes more memory than there is."""
+
+    def __str__(self) -> str:
+        raise MemoryError
+
+
+def lacks_memory_while_failing() -> bytes:
+    raise HungryError
+
+
+def system_lacks_memory() -> bytes:
+    raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+
+@pytest.mark.parametrize("call", [lacks_memory_while_failing, system_lacks_memory])
+def test_a_lack_of_memory_costs_its_own_task_only(call: Callable[[], bytes], limits: WorkerLimits) -> None:
+    with ProcessExecutor(1, limits) as executor:
+        failed = outcome_of(CallTask("fails", call), executor).failed
+        assert failed is not None
+        assert failed.kind == "out_of_memory"
+        assert failed.message.startswith("the worker ran out of memory")
+        assert call.__name__ in failed.log_tail
+        assert outcome_of(CallTask("answers", answers), executor).product == (b"here",)
+    assert list(limits.logs.iterdir()) == []
+
+
+def closes_output() -> bytes:
+    sys.stdout.write("before\n")
+    sys.stdout.close()
+    sys.stderr = None  # type: ignore[assignment] # on purpose
+    return b"closed"
+
+
+def test_a_planner_may_close_its_output(limits: WorkerLimits) -> None:
+    with ProcessExecutor(1, limits) as executor:
+        closed = outcome_of(CallTask("closes", closes_output), executor)
+        assert (closed.product, closed.output) == ((b"closed",), "before")
+        assert outcome_of(CallTask("answers", answers), executor).product == (b"here",)

@@ -16,11 +16,34 @@ from pathlib import Path
 from types import CodeType
 
 _OUR_PACKAGE = str(Path(__file__).parents[1])
+#: Arguments with which a planner's methods are called.
+PLANNER_CALLS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "memory", "rng")}
 #: A call in the output of Python's fault handler.
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
 _INSTALLED = {"site-packages", "dist-packages"}
 #: Prefixes of plug-in names that denote a server, not a module.
 _SERVERS = ("exec", "grpc")
+
+
+def call_problem(planner: object) -> str:
+    """Return why *planner* cannot be called as a planner, as the end of a sentence; "" if it can."""
+    missing = [method for method in PLANNER_CALLS if not callable(getattr(planner, method, None))]
+    if missing:
+        return f"lacks {' and '.join(missing)}"
+    problem = arguments_problem(planner)
+    return f"cannot be used: {problem}" if problem else ""
+
+
+def arguments_problem(planner: object) -> str:
+    """Return which method of *planner* does not take the arguments of a planner's, as a sentence; "" if all do."""
+    for method, arguments in PLANNER_CALLS.items():
+        try:
+            inspect.signature(getattr(planner, method)).bind(*arguments)
+        except ValueError:  # some methods written in C have none
+            continue
+        except TypeError as error:
+            return f"{method} is called with {', '.join(arguments)}, and cannot be so: {error}"
+    return ""
 
 
 def described(error: BaseException) -> str:

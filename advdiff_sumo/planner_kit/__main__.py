@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from advdiff_sumo.core.plug_in_source import described, raised_at
+from advdiff_sumo.core.plug_in_source import call_problem, described, raised_at
 from advdiff_sumo.planner_kit.planner_server import serve
 
 
@@ -21,9 +21,8 @@ def main() -> None:
     try:
         options = options_of(args.options)
         planner = _made(f"planner '{args.planner}'", lambda: attribute(args.planner)(**options))
-        missing = [method for method in ("start", "plan") if not callable(getattr(planner, method, None))]
-        if missing:
-            raise ValueError(f"planner '{args.planner}' lacks {' and '.join(missing)}")
+        if problem := call_problem(planner):
+            raise ValueError(f"planner '{args.planner}' {problem}")
         read_road = args.read_road and _made(
             f"--read-road {args.read_road}", lambda: attribute(args.read_road)
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
@@ -14,8 +15,9 @@ from typing import Any, NoReturn
 import grpc
 import numpy as np
 
+from advdiff_sumo.core.output import flush_output
 from advdiff_sumo.core.plan import Controls, Trajectory
-from advdiff_sumo.core.plug_in_source import described, lacks_memory, planned_at, raised_at
+from advdiff_sumo.core.plug_in_source import call_problem, described, lacks_memory, planned_at, raised_at
 from advdiff_sumo.core.scene import Scene
 from advdiff_sumo.planner_kit import messages
 from advdiff_sumo.planner_kit.kit_road import road_of
@@ -152,9 +154,13 @@ def serve(
             default the planner receives a :class:`~advdiff_sumo.planner_kit.kit_road.KitRoad`.
 
     Raises:
+        TypeError: *planner* cannot be called as a planner is.
         RuntimeError: the address is in use, or none of this machine.
     """
     planner_object = planner() if isinstance(planner, type) else planner
+    if problem := call_problem(planner_object):
+        kind = type(planner_object).__name__
+        raise TypeError(f"{kind} {problem}; give serve() a planner, or its class")
     bound_address = address or os.environ.get(ADDRESS_VARIABLE) or DEFAULT_ADDRESS
     calls = PlannerServer(
         planner_object, name or type(planner_object).__name__, version, wants_osi, read_road
@@ -231,9 +237,10 @@ def _abort(context: Any, code: Any, message: str) -> NoReturn:
 
 
 def _exit(error: SystemExit) -> NoReturn:
-    """End this process, as ``sys.exit`` would in the main thread of a planner."""
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
+    """End this process, as ``sys.exit`` would in the main thread of a planner, and write where it was called."""
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # the planner has closed or removed it
+        sys.stderr.write(f"{described(error)}{raised_at(error, None)}\n")
+    flush_output()
     code = error.code
     os._exit(code if isinstance(code, int) else 0 if code is None else 1)
 

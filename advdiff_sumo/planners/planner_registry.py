@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any, cast
 
 from advdiff_sumo.core.errors import ConfigError
+from advdiff_sumo.core.plug_in_source import PLANNER_CALLS, arguments_problem
 from advdiff_sumo.planners.defects import parse_defects, plant
 from advdiff_sumo.planners.planner_protocol import Planner, SumoDriver, Target
 from advdiff_sumo.planners.remote.remote_name import check_slashes, is_remote
@@ -44,7 +44,6 @@ TARGETS = Registry(
 The group of plug-ins is ``advdiff_sumo.planners``.
 """
 
-_ARGUMENTS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "memory", "rng")}
 _REMEDY = (
     "; give it among the target's options (--set target_options.NAME=VALUE of run and defects, "
     "--set NAME=VALUE of check-planner)"
@@ -93,20 +92,7 @@ def _sound_target(name: str, options: Mapping[str, Any]) -> Target:
     target = factory(**options)
     if isinstance(target, SumoDriver):
         return target
-    must_have(f"target '{canonical}' is no planner: {type(target).__name__}", target, _ARGUMENTS)
-    planner = cast("Planner", target)
-    _must_take_arguments(canonical, planner)
-    return planner
-
-
-def _must_take_arguments(name: str, planner: Planner) -> None:
-    """Raise ConfigError if the methods of *planner* cannot be called with the arguments of a planner."""
-    for method, arguments in _ARGUMENTS.items():
-        try:
-            inspect.signature(getattr(planner, method)).bind(*arguments)
-        except ValueError:  # some methods written in C have none
-            continue
-        except TypeError as error:
-            raise ConfigError(
-                f"target '{name}': {method} is called with {', '.join(arguments)}, and cannot be so: {error}"
-            ) from None
+    must_have(f"target '{canonical}' is no planner: {type(target).__name__}", target, PLANNER_CALLS)
+    if problem := arguments_problem(target):
+        raise ConfigError(f"target '{canonical}': {problem}")
+    return cast("Planner", target)

@@ -11,7 +11,7 @@ from advdiff_sumo.core.whole_file import is_free
 #: Files that a planner's server imports, relative to this package.
 KIT_FILES = (
     *("__init__.py", "py.typed", "core/__init__.py"),
-    *("core/arrays.py", "core/kinematic_states.py", "core/plan.py", "core/plan_form.py"),
+    *("core/arrays.py", "core/kinematic_states.py", "core/output.py", "core/plan.py", "core/plan_form.py"),
     *("core/plug_in_source.py", "core/scene.py"),
 )
 _PROJECT = """\

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from advdiff_sumo.planner_kit import serve
 from advdiff_sumo.planner_kit.__main__ import main
 
 _PLANNERS = """
@@ -24,6 +25,11 @@ class Sound:
 
 class NoPlan:
     def start(self, road, scene, rng):
+        return None
+
+
+class OtherPlan(NoPlan):
+    def plan(self, scene):
         return None
 """
 
@@ -43,6 +49,10 @@ class NoPlan:
         ),
         (["kit_mine:Missing"], "planner 'kit_mine:Missing' cannot be made: .* no attribute 'Missing'"),
         (["kit_mine:NoPlan"], "planner 'kit_mine:NoPlan' lacks plan"),
+        (
+            ["kit_mine:OtherPlan", "--address", "localhost:99999"],
+            "planner 'kit_mine:OtherPlan' cannot be used: plan is called with road, scene, memory, rng, and cannot",
+        ),
         (
             ["kit_mine:Sound", "--options", "[1]"],
             r"--options \[1\]: it is no object; give a JSON object, such as",
@@ -90,3 +100,12 @@ def test_what_cannot_be_served_is_refused_in_one_sentence(
     prefix, _, said = last_line.partition(": error: ")
     assert prefix == "python -m advdiff_sumo.planner_kit"
     assert re.match(sentence, said)
+
+
+@pytest.mark.parametrize("not_a_planner", [lambda: None, None, json])
+def test_what_is_no_planner_is_not_served(not_a_planner: object) -> None:
+    kind = type(not_a_planner).__name__
+    with pytest.raises(
+        TypeError, match=rf"^{kind} lacks start and plan; give serve\(\) a planner, or its class$"
+    ):
+        serve(not_a_planner, "localhost:99999")

@@ -54,7 +54,8 @@ class PlannerProcess:
         self._folder = _socket_folder()
         self._socket, self._log = self._folder / "socket", self._folder / "log"
         self.address = f"unix:{self._socket}"
-        self._shown_bytes = 0
+        self._shown_bytes = self._episode_byte = 0
+        self._start_output: str | None = None
         words = [word.replace(ADDRESS_FIELD, self.address) for word in words]
         try:
             self._keeper = self._started(words)
@@ -101,21 +102,29 @@ class PlannerProcess:
         lines = self._keeper.stdout.read().decode().split()
         return how_it_ended(int(lines[-1])) if lines else "was lost"
 
+    def begin_episode(self) -> None:
+        """Note that what it writes from now on belongs to a new episode; before the first, to its start."""
+        text, self._episode_byte = self._tail(0)
+        if self._start_output is None:
+            self._start_output = text
+
     def output(self) -> str:
-        """Return the end of its standard output and error."""
-        return self._tail(0)
+        """Return the end of what it wrote as it started and in the present episode."""
+        text, self._shown_bytes = self._tail(self._episode_byte)
+        return f"{self._start_output or ''}\n{text}".strip()[-_TAIL_BYTES:]
 
     def new_output(self) -> str:
-        """Return the end of what it wrote since the last call."""
-        return self._tail(self._shown_bytes)
+        """Return the end of what it wrote since the last call of this or of :meth:`output`."""
+        text, self._shown_bytes = self._tail(self._shown_bytes)
+        return text
 
-    def _tail(self, first_byte: int) -> str:
-        """Return the end of its log from *first_byte* on; all of the log then counts as shown."""
+    def _tail(self, first_byte: int) -> tuple[str, int]:
+        """Return the end of its log from *first_byte* on, and the length of the log in bytes."""
         with contextlib.suppress(OSError), self._log.open("rb") as log:
-            self._shown_bytes = log.seek(0, os.SEEK_END)
-            log.seek(max(first_byte, self._shown_bytes - _TAIL_BYTES))
-            return log.read(_TAIL_BYTES).decode(errors="replace").strip()
-        return ""
+            size = log.seek(0, os.SEEK_END)
+            log.seek(max(first_byte, size - _TAIL_BYTES))
+            return log.read(_TAIL_BYTES).decode(errors="replace").strip(), size
+        return "", first_byte
 
     def trim_log(self) -> None:
         """Empty its log once it is long."""

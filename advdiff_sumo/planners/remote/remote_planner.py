@@ -117,6 +117,8 @@ class RemotePlanner:
         """
         seed = int(rng.integers(2**63))
         connection = self._open()
+        if self._process is not None:
+            self._process.begin_episode()
         episode = RemoteEpisode(uuid.uuid4().hex, self._wants_osi)
         request = messages.StartRequest(
             episode_id=episode.episode_id,
@@ -152,14 +154,16 @@ class RemotePlanner:
     def end(self, memory: RemoteEpisode, end: str, time_s: float, failure: str) -> None:
         """Tell the server how the episode ended, if it still runs, and show what it wrote since the last one.
 
-        Its response and its failures are ignored.
+        After a failure what it wrote as it started is shown, too. Its response and its failures are ignored.
         """
         if self._connection is None:
             return
         outcome = messages.Outcome(episode_id=memory.episode_id, end=end, time_s=time_s, failure=failure)
         with contextlib.suppress(EpisodeFailure):
             self._call(self._connection, "EndEpisode", outcome, min(_END_S, self.options.plan_timeout_s))
-        if self._process is not None and (text := self._process.new_output()):
+        if self._process is None:
+            return
+        if text := self._process.output() if failure else self._process.new_output():
             sys.stderr.write(f"{text}\n")
 
     def close(self) -> None:

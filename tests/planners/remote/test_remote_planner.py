@@ -138,7 +138,12 @@ def test_a_built_in_planner_plans_the_same_in_a_separate_process(road: RoadMap, 
         ("eats", OutOfMemoryFailure, "ran out of memory: out of memory too much", "in eats"),
         ("fills", OutOfMemoryFailure, "ran out of memory: out of memory DefaultCPUAllocator", "in fills"),
         ("segfaults", PlannerCrashedError, "its server was ended by SIGSEGV", ""),
-        ("exits", PlannerCrashedError, "its server ended with exit code 3", ""),
+        (
+            "exits",
+            PlannerCrashedError,
+            "its server ended with exit code 3",
+            "SystemExit: 3 (faulty_server.py, line",
+        ),
         pytest.param(
             "hangs", PlannerTimeoutError, "did not answer MakePlan within", "thinking", marks=pytest.mark.slow
         ),
@@ -240,6 +245,44 @@ def test_what_a_server_writes_is_shown_as_the_episode_ends(
     for end in ("collision", "horizon"):
         planner.end(planner.start(road, scene, np.random.default_rng(0)), end, 1.0, "")
         assert capsys.readouterr().err == f"ended: {end}\n"
+
+
+TALKS = """
+import ctypes
+import numpy as np
+from advdiff_sumo.planner_kit import Controls, serve
+
+class Planner:
+    episodes = 0
+
+    def start(self, road, scene, rng):
+        self.episodes += 1
+        print(f"episode {self.episodes}", flush=True)
+
+    def plan(self, road, scene, memory, rng):
+        if self.episodes == 3:
+            ctypes.string_at(0)
+        return Controls(np.zeros(10), np.zeros(10), 0.1), memory
+
+print("loading", flush=True)
+serve(Planner)
+"""
+
+
+def test_a_failure_has_what_the_server_wrote_in_its_episode_and_at_its_start(
+    road: RoadMap, scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is stored of an episode must not depend on the episodes before it, which another worker may have driven."""
+    program = tmp_path / "server.py"
+    program.write_text(TALKS)
+    planner = make_target(f"exec:{sys.executable} {shlex.quote(str(program))}", {})
+    assert isinstance(planner, RemotePlanner)
+    for failure, shown in (("", "loading\nepisode 1\n"), ("nan", "loading\nepisode 2\n")):
+        planner.end(planner.start(road, scene, np.random.default_rng(0)), "failed", 1.0, failure)
+        assert capsys.readouterr().err == shown
+    with pytest.raises(PlannerCrashedError) as caught:
+        plans(planner, road, scene)
+    assert str(caught.value.__cause__) == "loading\nepisode 3"
 
 
 def test_a_plan_that_is_not_a_number_is_left_to_the_simulation(

@@ -9,6 +9,7 @@ import typer
 
 from advdiff_sumo.cli import run_flags as flags
 from advdiff_sumo.cli.terminal import terminal
+from advdiff_sumo.cli.worker_flags import end_as_by_ctrl_c
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.threads import one_thread_for_good
 
@@ -44,6 +45,7 @@ def replay(
     Says whether the result is the same as before; exit code 1 where it is not. A planner that hangs or crashes does
     so here, too, in this process, where a debugger reaches it.
     """
+    end_as_by_ctrl_c()
     one_thread_for_good()
     from advdiff_sumo.report.page import write_report  # late: --help is quick
     from advdiff_sumo.sim.free_folder import free_folder

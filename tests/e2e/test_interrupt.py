@@ -40,6 +40,12 @@ class Endless(LaneGraphPlanner):
         time.sleep(1000.0)
 
 
+class Holds(Endless):
+    def start(self, road, scene, rng):
+        kind = Endless if Path("hold").exists() else LaneGraphPlanner
+        return kind.start(self, road, scene, rng)
+
+
 class EndlessTraffic(SumoTraffic):
     def start(self, road, scene, log, rng):
         Endless.start(self, road, scene, rng)
@@ -166,11 +172,30 @@ def test_sigterm_in_a_check_leaves_no_folder(
     folder = _place(grid, tmp_path)
     (folder / "endless.py").write_text(ENDLESS)
     words = ("--net", "grid.net.xml", "--episodes", "1", "--horizon", "2")
+    _leaves_no_folder((*check, *words), folder, by, monkeypatch)
+
+
+def test_sigterm_in_a_replay_leaves_no_folder(
+    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = _place(grid, tmp_path)
+    (folder / "endless.py").write_text(ENDLESS)
+    words = ("--net", "grid.net.xml", "--target", "endless:Holds", "--episodes", 1, *TINY, "--no-report")
+    assert advdiff("run", *words, "--out", "run", cwd=folder).code == 0
+    (folder / "hold").touch()
+    _leaves_no_folder(("replay", "0", "--run", "run"), folder, signal.SIGTERM, monkeypatch)
+    assert not (folder / "runs").exists()
+
+
+def _leaves_no_folder(
+    command: tuple[str, ...], folder: Path, by: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Check that *command*, interrupted while it plans, ends as by Ctrl-C and leaves no temporary folder."""
     with (
         tempfile.TemporaryDirectory() as temporary
     ):  # the path of the tests' temporary folder is too long for sockets
         monkeypatch.setenv("TMPDIR", temporary)
-        running = begin(*check, *words, cwd=folder)
+        running = begin(*command, cwd=folder)
         _interrupted_while_it_plans(running, folder, by)
         assert running.returncode == 130
         assert not list(Path(temporary).glob("advdiff-*"))

@@ -143,6 +143,11 @@ class Episode(EpisodeSetup):
 
 
 def _trace(error: EpisodeFailure) -> str:
-    """Return the traceback of an error in planner or policy; "" if the package itself found the failure."""
+    """Return the traceback of an error in planner or policy; "" if the package itself found the failure.
+
+    A cause that was not raised here has the traceback, or the output, of another process as its text.
+    """
     cause = error.__cause__
-    return "".join(traceback.format_exception(cause)) if cause is not None else ""
+    if cause is None:
+        return ""
+    return str(cause) if cause.__traceback__ is None else "".join(traceback.format_exception(cause))

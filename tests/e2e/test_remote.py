@@ -78,6 +78,9 @@ def test_a_remote_planner_that_raises_is_a_failure_with_its_traceback(
     rows = pq.read_table(workplace / "run" / "episodes.parquet").to_pylist()
     assert [row["failure_kind"] for row in rows] == ["planner_error"] * 2
     assert "ValueError: no way found" in rows[0]["failure_message"]
+    failure = pq.read_table(workplace / "run" / "failures.parquet").to_pylist()[0]
+    assert failure["log_tail"].startswith("Traceback (most recent call last):")
+    assert failure["log_tail"].strip().endswith("ValueError: no way found")
     assert "no way found" in (workplace / "run" / "report.html").read_text()
     assert gone(workplace)
 

@@ -106,6 +106,16 @@ def test_the_wrong_side_counts_after_a_while(road, seconds) -> None:
     assert told(record, road) == ([("wrong_side", 1.0)] if seconds > 1.5 else [])
 
 
+@pytest.mark.parametrize("begins", [5, 6, 7, 8, 9, 20])
+@pytest.mark.parametrize(("instants", "counts"), [(15, False), (16, True)])
+def test_the_wrong_side_counts_whenever_it_begins(road, begins, instants, counts) -> None:
+    """16 instants of 0.1 s last 1.5 s from the first to the last, wherever the record starts."""
+    left = np.zeros(61)
+    left[begins : begins + instants] = 3.2
+    record = record_of(driven("ego", (-150, -1.6), 0, [8.0] * 61, left))
+    assert told(record, road) == ([("wrong_side", round(begins * DT_S, 1))] if counts else [])
+
+
 @pytest.mark.parametrize(("seconds", "expected"), [(1.4, []), (2.4, [("wrong_side", 0.8)])])
 def test_longer_steps_do_not_shorten_the_required_time(road, seconds, expected) -> None:
     """With steps of 0.2 s it is checked every 0.4 s: 1.2 s, four checks, are less than 1.5 s."""

@@ -32,7 +32,7 @@ OFFENCE_KINDS = frozenset(
 """Rules that a target can break without a collision."""
 #: Driving against the direction of traffic is an offence if it lasts at least this long.
 WRONG_SIDE_S = 1.5
-# It is checked at this interval, and only while the target is faster than this.
+# It is checked at this interval, from any instant on, and only while the target is faster than this.
 _EVERY_S, _MOVING_MPS = 0.5, 1.0
 _ROUNDING = 1e-6
 
@@ -91,16 +91,17 @@ def _speed_and_direction(view: TrafficView, row: int) -> Iterator[Breach]:
 def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
     """Yield the first stretch between junctions that it drives against its lane or on one of the opposite direction."""
     tracks, lanes, every = view.tracks, view.place(row, 0, view.tracks.steps), max(1, view.steps(_EVERY_S))
-    count, needed = 0, math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
-    for k in range(0, tracks.steps, every):
+    needed = math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
+    counts = np.zeros(tracks.steps, dtype=np.int64)  # of the checks up to each instant, the last ones in a row
+    for k in range(tracks.steps):
         name = lanes.lane[k]
         moving = tracks.valid[row, k] and tracks.speed_mps[row, k] > _MOVING_MPS
         off_junction = name is None or not view.road.lanes[name].is_internal
-        against = moving and off_junction and _is_against_traffic(view, row, lanes, k)
-        count = count + 1 if against else 0
-        if count == needed:
+        if moving and off_junction and _is_against_traffic(view, row, lanes, k):
+            counts[k] = 1 + (counts[k - every] if k >= every else 0)
+        if counts[k] == needed:
             text = "drove on the wrong side of the road"
-            yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(k - count * every + every), text)
+            yield Breach(BreachKind.WRONG_SIDE, row, view.time_s(k - (needed - 1) * every), text)
             return
 
 

@@ -181,7 +181,12 @@ def marked_requests(row: str) -> frozenset[int]:
 
 def shape_of(element: ET.Element) -> FloatArray:
     """Return the ``shape`` of *element* as points (P, 2) without heights; (0, 2) if it has none."""
-    points = [point.split(",")[:2] for point in element.get("shape", "").split()]
+    return points_of(element.get("shape", ""))
+
+
+def points_of(text: str) -> FloatArray:
+    """Return the points (P, 2) of a shape "x,y x,y …" of SUMO, without heights; (0, 2) if it is empty."""
+    points = [point.split(",")[:2] for point in text.split()]
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 

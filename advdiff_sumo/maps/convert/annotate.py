@@ -6,6 +6,7 @@ These are the source of each connection, the true length of each internal lane, 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -16,6 +17,7 @@ from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.lanes import edge_of_lane
+from advdiff_sumo.maps.read_net import points_of
 
 CONNECTION = re.compile(
     r'(?P<indent>[ ]*)<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)"'
@@ -29,7 +31,8 @@ SHORTEST_M = 0.1  # netconvert's smallest length of an internal lane
 SAME_M = 0.01  # ends that differ by no more are equal
 LANE = re.compile(r'(<lane id="(?P<id>[^"]+)"[^>]* shape=")(?P<shape>[^"]*)(")')
 CONNECTION_VIA = re.compile(
-    r'<connection from="([^":]+)" to="([^"]+)" fromLane="(\d+)" toLane="(\d+)"[^>]* via="(?P<via>[^"]+)"'
+    r'<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)"'
+    r' fromLane="(?P<from_lane>\d+)" toLane="(?P<to_lane>\d+)"[^>]* via="(?P<via>[^"]+)"'
 )
 # An internal lane that leads into another internal lane.
 DIVIDED = re.compile(r'<connection from="(:[^"]+)"[^>]* via="')
@@ -43,8 +46,7 @@ def annotate_net(net: Path, plan: NetPlan) -> None:
     text = net.read_text(encoding="utf-8")
 
     def with_source(match: re.Match[str]) -> str:
-        key = (match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"]))
-        connection = plan.connection_of.get(key)
+        connection = plan.connection_of.get(connection_key(match))
         if connection is None or not connection.source:
             return match[0]
         start = match[0][: match.start("close") - match.start()]
@@ -56,11 +58,13 @@ def annotate_net(net: Path, plan: NetPlan) -> None:
     net.write_text(INTERNAL.sub(_with_true_length, text), encoding="utf-8")
 
 
+def connection_key(match: re.Match[str]) -> tuple[str, int, str, int]:
+    """Return from edge and lane, to edge and lane of a match of ``CONNECTION`` or ``CONNECTION_VIA``."""
+    return match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"])
+
+
 def _with_true_length(match: re.Match[str]) -> str:
-    points = np.array(
-        [[float(v) for v in point.split(",")[:2]] for point in match["shape"].split()], dtype=np.float64
-    )
-    return f"{match[1]}{max(line_length_m(points), SHORTEST_M):.4f}{match[3]}"
+    return f"{match[1]}{max(line_length_m(points_of(match['shape'])), SHORTEST_M):.4f}{match[3]}"
 
 
 def restore_shapes(net: Path, plan: NetPlan) -> int:
@@ -75,19 +79,22 @@ def restore_shapes(net: Path, plan: NetPlan) -> int:
     planned = {
         f"{edge.id}_{index}": lane.shape_m for edge in plan.edges for index, lane in enumerate(edge.lanes)
     }
-    planned |= _internal_shapes(text, plan)
+    return put_shapes(net, text, planned | _internal_shapes(text, plan))
+
+
+def put_shapes(net: Path, text: str, shapes: Mapping[str, FloatArray]) -> int:
+    """Write *net* as *text* with *shapes* (by lane id); return how many of these lanes had another end."""
     moved = 0
 
     def put_back(match: re.Match[str]) -> str:
         nonlocal moved
-        shape = planned.get(match["id"])
+        shape = shapes.get(match["id"])
         if shape is None:
             return match[0]
         moved += not _same_ends(match["shape"], shape)
         return match[1] + shape_text(shape) + match[4]
 
-    text = LANE.sub(put_back, text)
-    net.write_text(text, encoding="utf-8")
+    net.write_text(LANE.sub(put_back, text), encoding="utf-8")
     return moved
 
 
@@ -96,14 +103,11 @@ def _internal_shapes(text: str, plan: NetPlan) -> dict[str, FloatArray]:
     divided = set(DIVIDED.findall(text))
     shapes: dict[str, FloatArray] = {}
     for match in CONNECTION_VIA.finditer(text):
-        origin, target, from_lane, to_lane, via = match.groups()
-        connection = plan.connection_of.get((origin, int(from_lane), target, int(to_lane)))
-        if connection is not None and edge_of_lane(via) not in divided:
-            shapes[via] = connection.shape_m
+        connection = plan.connection_of.get(connection_key(match))
+        if connection is not None and edge_of_lane(match["via"]) not in divided:
+            shapes[match["via"]] = connection.shape_m
     return shapes
 
 
 def _same_ends(text: str, shape: FloatArray) -> bool:
-    points = text.split()
-    ends = np.array([[float(v) for v in point.split(",")[:2]] for point in (points[0], points[-1])])
-    return bool(np.abs(ends - shape[[0, -1]]).max() <= SAME_M)
+    return bool(np.abs(points_of(text)[[0, -1]] - shape[[0, -1]]).max() <= SAME_M)

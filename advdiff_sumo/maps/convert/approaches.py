@@ -96,8 +96,8 @@ def _with_extension(line: FloatArray) -> LineString:
     """Return the last ``UPSTREAM_M`` of a lane (N, 2), extended straight ahead by ``NEAR_M``."""
     total = line_length_m(line)
     last = polyline.cut(line, max(0.0, total - UPSTREAM_M), total)
-    along = (line[-1] - line[-2]) / np.hypot(*(line[-1] - line[-2]))
-    return LineString(np.vstack((last, line[-1] + NEAR_M * along)))
+    beyond = line[-1] + NEAR_M * polyline.direction(line[-2], line[-1])
+    return LineString(np.vstack((last, beyond)))
 
 
 def _ends_in(line: FloatArray, area: BaseGeometry) -> bool:
@@ -114,8 +114,7 @@ def _axis(shape: BaseGeometry) -> FloatArray | None:
     box = shapely.minimum_rotated_rectangle(shape)
     corners = shapely.get_coordinates(box)
     if isinstance(box, LineString):
-        side = corners[-1] - corners[0]
-        return np.asarray(side / np.hypot(*side))
+        return polyline.direction(corners[0], corners[-1])
     sides = np.diff(corners[:3], axis=0)
     lengths = np.hypot(*sides.T)
     if lengths.max() < LONG * lengths.min():

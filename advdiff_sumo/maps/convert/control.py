@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.approaches import Approaches
-from advdiff_sumo.maps.convert.narrow import junctions_of, long_conflicts
+from advdiff_sumo.maps.convert.narrow import by_junction, junctions_of, long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, Signal, SourceMap
@@ -114,7 +114,7 @@ def _stopped_lanes(signal: Signal, source: SourceMap) -> tuple[list[int], list[i
     The latter matter because a light before a junction may name the connectors behind it, but does not stop vehicles at
     their ends. If no road lane leads into a named lane, the second list holds the named lanes themselves.
     """
-    number = {lane.token: index for index, lane in enumerate(source.lanes)}
+    number = source.number_of
     named = [number[token] for token in signal.lanes if token in number]
     road_lanes = [lane for lane in named if not source.lanes[lane].is_connector]
     before = [number[a] for a, b in source.links if a in number and b in signal.lanes]
@@ -144,8 +144,9 @@ def _is_large(edges: list[EdgePlan]) -> bool:
 
 def _crossing_junctions(plan: NetPlan) -> set[str]:
     """Return the junctions in which two connections cross."""
-    target = {edge.id: edge.target for edge in plan.edges}
-    lines: dict[str, list[shapely.LineString]] = defaultdict(list)
-    for connection in plan.connections:
-        lines[target[connection.origin[0]]].append(shapely.LineString(connection.shape_m))
-    return {n for n, own in lines.items() if len(shapely.STRtree(own).query(own, predicate="crosses")[0])}
+    crossing = set()
+    for name, connections in by_junction(plan).items():
+        lines = [shapely.LineString(connection.shape_m) for connection in connections]
+        if len(shapely.STRtree(lines).query(lines, predicate="crosses")[0]):
+            crossing.add(name)
+    return crossing

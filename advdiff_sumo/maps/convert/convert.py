@@ -314,5 +314,5 @@ def neighbours_of(tracks: list[Track], dashed: set[tuple[int, int]]) -> list[Sid
 
 def _numbered_links(source: SourceMap) -> list[tuple[int, int]]:
     """Return the links of *source* as pairs of lane numbers."""
-    number = {lane.token: index for index, lane in enumerate(source.lanes)}
+    number = source.number_of
     return [(number[a], number[b]) for a, b in source.links]

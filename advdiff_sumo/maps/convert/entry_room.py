@@ -20,14 +20,13 @@ def blocked_entries(plan: NetPlan, names: Iterable[str]) -> list[str]:
     The body of an entering car still lies behind the beginning of the edge. There it may be less than 2.2 m away from
     other lanes or connections. Their junction has no connection for this car, so no vehicle yields to it.
     """
-    edges = {edge.id: edge for edge in plan.edges}
     lanes = [({edge.id}, lane.shape_m) for edge in plan.edges for lane in edge.lanes]
     connections = [({c.origin[0], c.target[0]}, c.shape_m) for c in plan.connections]
     owners = [owner for owner, _ in (*lanes, *connections)]
     tree = shapely.STRtree([LineString(line) for _, line in (*lanes, *connections)])
 
     def is_blocked(name: str) -> bool:
-        bodies = [_entering_body(lane.shape_m) for lane in edges[name].lanes]
+        bodies = [_entering_body(lane.shape_m) for lane in plan.edge_of[name].lanes]
         near = np.unique(tree.query(bodies, predicate="dwithin", distance=BODIES_M)[1])
         return any(name not in owners[number] for number in near.tolist())
 

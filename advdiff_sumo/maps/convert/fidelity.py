@@ -192,7 +192,7 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
         if (*connection.origin, *connection.target) in net.connections:
             held |= set(itertools.pairwise(connection.lane_connection.lanes))
     links = result.layout.links
-    number = {lane.token: index for index, lane in enumerate(result.source.lanes)}
+    number = result.source.number_of
     stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
     planned = {(*c.origin, *c.target) for c in result.plan.connections}
     tokens = [lane.token for lane in result.source.lanes]

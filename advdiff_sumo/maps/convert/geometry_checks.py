@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString
 
-from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
+from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
@@ -75,7 +75,7 @@ def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFa
             "links to far lanes",
             f"lane {link[0]!r} ends {gap:.0f} m from the beginning of {link[1]!r}; the link is left out",
         )
-    elif _turn(before, after) > BACKWARDS_RAD:
+    elif abs(polyline.turn_between(before, after)) > BACKWARDS_RAD:
         faults.add(
             "links backwards",
             f"lane {link[1]!r} begins against the direction of {link[0]!r}; the link is left out",
@@ -83,12 +83,6 @@ def _is_sound(lanes: dict[str, SourceLane], link: tuple[str, str], faults: MapFa
     else:
         return True
     return False
-
-
-def _turn(before: FloatArray, after: FloatArray) -> float:
-    """Return the absolute change of heading in rad from the end of one line to the beginning of the other."""
-    last, first = before[-1] - before[-2], after[1] - after[0]
-    return abs(math.atan2(last[0] * first[1] - last[1] * first[0], float(last @ first)))
 
 
 def _in_their_polygons(

@@ -155,10 +155,9 @@ def plan_drivable(
         edges = edges_to_part(graph)
         if not edges:
             return plan
-        by_id = {edge.id: edge for edge in plan.edges}
         for name in edges:
             number = int(name[1:])
-            pieces = [[by_id[name].lanes[n].piece for n in part] for part in graph.parts(name)]
+            pieces = [[plan.edge_of[name].lanes[n].piece for n in part] for part in graph.parts(name)]
             ordered = [part[::-1] if lefthand else part for part in pieces]
             layout.groups[number] = ordered[0]
             layout.groups += ordered[1:]

@@ -45,15 +45,13 @@ def _width_at(normal_inside: shapely.Geometry, xy: FloatArray) -> float:
     return float(nearest.length) if nearest is not None and nearest.distance(point) < 0.5 else 0.0
 
 
-def width_between(
-    profile: FloatArray, from_m: float, to_m: float, default_m: float = DEFAULT_WIDTH_M
-) -> float:
-    """Return the median width in m between two arc lengths of *profile* (K, 2); *default_m* if it is empty.
+def width_between(profile: FloatArray, from_m: float, to_m: float) -> float:
+    """Return the median width in m between two arc lengths of *profile* (K, 2); ``DEFAULT_WIDTH_M`` if it is empty.
 
     If no row lies between them, the width is interpolated at their middle.
     """
     if not len(profile):
-        return default_m
+        return DEFAULT_WIDTH_M
     inside = profile[(profile[:, 0] >= from_m) & (profile[:, 0] <= to_m), 1]
     if len(inside):
         return float(np.median(inside))

@@ -21,7 +21,7 @@ from shapely.geometry import LineString, Point
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
-from advdiff_sumo.maps.convert.annotate import CONNECTION
+from advdiff_sumo.maps.convert.annotate import CONNECTION, connection_key
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
 from advdiff_sumo.maps.read_net import marked_requests
@@ -39,7 +39,7 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
     other in a narrow junction. It also misses some connections that cross if an edge enters the junction between the
     ends of another edge. The connection that turns less has priority.
     """
-    inside = _by_junction(plan)
+    inside = by_junction(plan)
     known = _known_conflicts(net)
     conflicts: set[tuple[Ends, Ends]] = set()
     for name in sorted(inside):
@@ -57,10 +57,8 @@ def unseen_pairs(plan: NetPlan) -> list[tuple[ConnectionPlan, ConnectionPlan]]:
     """
     return [
         (first, second)
-        for connections in _by_junction(plan).values()
-        for first, second in _close_pairs(connections)
-        if first.target[0] != second.target[0]
-        and (not _lines_cross(first, second) or _shared_m(first, second) > LONG_M)
+        for first, second in _pairs_apart(plan)
+        if not _lines_cross(first, second) or _shared_m(first, second) > LONG_M
     ]
 
 
@@ -76,25 +74,31 @@ def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
     """
     return {
         frozenset((_ends(first), _ends(second)))
-        for connections in _by_junction(plan).values()
-        for first, second in _close_pairs(connections)
-        if first.target[0] != second.target[0] and _shared_m(first, second) > LONG_M
+        for first, second in _pairs_apart(plan)
+        if _shared_m(first, second) > LONG_M
     }
+
+
+def _pairs_apart(plan: NetPlan) -> Iterator[tuple[ConnectionPlan, ConnectionPlan]]:
+    """Yield the pairs of connections to different edges that come too close."""
+    for connections in by_junction(plan).values():
+        for first, second in _close_pairs(connections):
+            if first.target[0] != second.target[0]:
+                yield first, second
 
 
 def junctions_of(pairs: Iterable[frozenset[Ends]], plan: NetPlan) -> set[str]:
     """Return the junctions in which *pairs* of connections meet."""
-    target = {edge.id: edge.target for edge in plan.edges}
-    return {target[origin] for pair in pairs for origin, _ in pair}
+    return {plan.edge_of[origin].target for pair in pairs for origin, _ in pair}
 
 
-def _by_junction(plan: NetPlan) -> dict[str, list[ConnectionPlan]]:
+def by_junction(plan: NetPlan) -> dict[str, list[ConnectionPlan]]:
     """Return the connections through each junction."""
-    target = {edge.id: edge.target for edge in plan.edges}
     inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
     for connection in plan.connections:
-        if connection.origin[0] in target:  # else from a street beyond the rim: no other connection is near
-            inside[target[connection.origin[0]]].append(connection)
+        origin = plan.edge_of.get(connection.origin[0])
+        if origin is not None:  # else from a street beyond the rim: no other connection is near
+            inside[origin.target].append(connection)
     return inside
 
 
@@ -159,8 +163,7 @@ def write_conflicts(net: Path, plan: NetPlan) -> int:
         return 0
 
     def with_conflicts(match: re.Match[str]) -> str:
-        key = (match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"]))
-        conflicts = shared.get(key)
+        conflicts = shared.get(connection_key(match))
         if not conflicts or ' via="' not in match[0]:
             return match[0]
         rows = "".join(_conflict_row(foe, span, match["indent"]) for foe, span in conflicts.items())

@@ -179,6 +179,16 @@ class NetPlan:
     long_conflicts: frozenset[frozenset[tuple[str, str]]] = frozenset()
 
     @cached_property
+    def edge_of(self) -> dict[str, EdgePlan]:
+        """Edges by id."""
+        return {edge.id: edge for edge in self.edges}
+
+    @cached_property
+    def lane_points_m(self) -> FloatArray:
+        """(N, 2) points of the centre lines of all edge lanes."""
+        return np.vstack([lane.shape_m for edge in self.edges for lane in edge.lanes])
+
+    @cached_property
     def connection_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
         """Connections by from edge and lane, to edge and lane."""
         return {connection.key: connection for connection in self.connections}
@@ -299,9 +309,9 @@ def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list
                 lines[name].append(LineString(shape))
     inside: dict[str, list[Polygon]] = defaultdict(list)
     for connection in connections:
-        width = edge_of[connection.origin[0]].lanes[connection.origin[1]].width_m
-        strip = LineString(connection.shape_m).buffer(0.5 * min(width, WIDEST_WAY_M), cap_style="flat")
-        inside[edge_of[connection.origin[0]].target].append(strip)
+        origin = edge_of[connection.origin[0]]
+        width = origin.lanes[connection.origin[1]].width_m
+        inside[origin.target].append(way_strip(connection.shape_m, width))
     return [
         JunctionPlan(
             name,
@@ -313,10 +323,15 @@ def _junctions(edges: list[EdgePlan], connections: list[ConnectionPlan]) -> list
     ]
 
 
+def way_strip(shape_m: FloatArray, width_m: float) -> Polygon:
+    """Return the area of a connection (N, 2) from a lane of this width, at most ``WIDEST_WAY_M`` wide."""
+    return LineString(shape_m).buffer(0.5 * min(width_m, WIDEST_WAY_M), cap_style="flat")
+
+
 def end_bar(shape_m: FloatArray, width_m: float) -> Polygon:
     """Return a strip across the beginning of a lane that covers 0.1 m of the junction and ``LIP_M`` of the lane."""
-    along = (shape_m[0] - shape_m[1]) / np.hypot(*(shape_m[0] - shape_m[1]))
-    across = 0.5 * width_m * np.array([-along[1], along[0]])
+    along = polyline.direction(shape_m[1], shape_m[0])
+    across = 0.5 * width_m * polyline.left_of(along)
     back, front = shape_m[0] + 0.1 * along, shape_m[0] - LIP_M * along
     return Polygon((front - across, front + across, back + across, back - across))
 

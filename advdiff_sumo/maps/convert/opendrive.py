@@ -75,8 +75,7 @@ def write_opendrive(plan: NetPlan, path: Path, location: str, projection: str | 
 
 
 def _add_header(root: ET.Element, plan: NetPlan, location: str, projection: str | None) -> None:
-    xy = np.vstack([lane.shape_m for edge in plan.edges for lane in edge.lanes])
-    low, high = xy.min(axis=0), xy.max(axis=0)
+    low, high = plan.lane_points_m.min(axis=0), plan.lane_points_m.max(axis=0)
     bounds = {"west": low[0], "south": low[1], "east": high[0], "north": high[1]}
     header = ET.SubElement(root, "header", revMajor="1", revMinor="7", name=location, version="1.00")
     for side, value in bounds.items():
@@ -124,12 +123,12 @@ def _add_connecting_roads(
     root: ET.Element, plan: NetPlan, road_of: dict[LaneKey, str], junction: dict[str, str]
 ) -> None:
     """Add connecting roads and the junctions that contain them."""
-    edges = {edge.id: edge for edge in plan.edges}
     roads_of_junction: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for index, connection in enumerate(plan.connections):
         (origin_edge, origin_lane), (target_edge, target_lane) = connection.origin, connection.target
-        name, number = edges[origin_edge].target, str(FIRST_CONNECTING_ROAD + index)
-        origin, target = edges[origin_edge].lanes[origin_lane], edges[target_edge].lanes[target_lane]
+        name, number = plan.edge_of[origin_edge].target, str(FIRST_CONNECTING_ROAD + index)
+        origin = plan.edge_of[origin_edge].lanes[origin_lane]
+        target = plan.edge_of[target_edge].lanes[target_lane]
         road = _connecting_road(connection, origin, target, number, junction[name])
         before = {"elementType": "road", "elementId": road_of[connection.origin], "contactPoint": "end"}
         after = {"elementType": "road", "elementId": road_of[connection.target], "contactPoint": "start"}

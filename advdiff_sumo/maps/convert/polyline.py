@@ -31,6 +31,12 @@ def turns(line: FloatArray) -> FloatArray:
     return np.asarray((np.diff(yaw) + math.pi) % (2.0 * math.pi) - math.pi)
 
 
+def turn_between(before: FloatArray, after: FloatArray) -> float:
+    """Return the change of heading in rad from the end of one line to the beginning of another, left positive."""
+    last, first = before[-1] - before[-2], after[1] - after[0]
+    return math.atan2(last[0] * first[1] - last[1] * first[0], float(last @ first))
+
+
 def direction(start: FloatArray, end: FloatArray) -> FloatArray:
     """Return the unit vector (2,) from point *start* to point *end*."""
     return np.asarray((end - start) / np.hypot(*(end - start)))

@@ -15,7 +15,6 @@ from advdiff_sumo.core.errors import LogError
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.convert import ConversionResult
 from advdiff_sumo.maps.convert.fidelity import statistics_of
-from advdiff_sumo.maps.convert.lane_widths import DEFAULT_WIDTH_M, width_between
 from advdiff_sumo.maps.convert.written_net import read_net
 
 NEAR_M = 15.0  # lanes farther from a pose are not considered
@@ -66,8 +65,7 @@ def compare_poses(result: ConversionResult, poses: FloatArray) -> dict[str, Any]
         return {"poses": 0}
     net = read_net(result.net)
     written = [*net.lanes.values(), *net.connections.values()]
-    tracks = result.tracks
-    source = [(t.centre_m, width_between(t.widths, 0.0, t.length_m, DEFAULT_WIDTH_M)) for t in tracks]
+    source = [(track.centre_m, track.width_m) for track in result.tracks]
     on_net, net_offset = nearest_offsets(written, poses)
     on_map, map_offset = nearest_offsets(source, poses)
     difference = np.abs(net_offset - map_offset)

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
+from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap
 
 GAP_M = 0.5  # a lane that begins at most this far from the end of another one, in its direction, follows it
@@ -70,18 +70,11 @@ def _add_links(
             is_open = before.token not in has_next or after.token not in has_previous
             both_connectors = before.is_connector and after.is_connector
             may_link = before_number != after_number and is_open and not both_connectors
-            if may_link and _in_line(before.centre_m, after.centre_m):
+            if may_link and abs(polyline.turn_between(before.centre_m, after.centre_m)) <= SAME_WAY_RAD:
                 added.append((before.token, after.token))
     new = [link for link in dict.fromkeys(added) if link not in known]
     notes["links added by geometry"] += len(new)
     return links + new
-
-
-def _in_line(before: FloatArray, after: FloatArray) -> bool:
-    """Return whether line *after* begins with about the heading with which line *before* ends."""
-    last, first = before[-1] - before[-2], after[1] - after[0]
-    turn = np.arctan2(last[0] * first[1] - last[1] * first[0], float(last @ first))
-    return bool(abs(turn) <= SAME_WAY_RAD)
 
 
 def _count_gaps(lanes: list[SourceLane], links: list[tuple[str, str]], notes: Counter[str]) -> None:

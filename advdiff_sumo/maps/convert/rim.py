@@ -5,7 +5,6 @@ They lie west of the map and have the type :data:`BEYOND_TYPE`. Nothing is measu
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +14,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert.annotate import LANE
+from advdiff_sumo.maps.convert.annotate import CONNECTION_VIA, put_shapes
 from advdiff_sumo.maps.convert.entry_room import blocked_entries
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
-from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.routability import reachable, strong_parts
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
 
@@ -27,10 +25,6 @@ SPEED_MPS = 13.89  # speed limit on it
 CONNECTION_M = 15.0  # length of a connection to or from it, enough for a car and its gap
 WEST_M = 300.0  # distance from the western rim of the map
 APART_M = 10.0  # distance between return edges
-VIA = re.compile(
-    r'<connection from="(?P<origin>[^":]+)" to="(?P<target>[^"]+)" fromLane="(?P<from_lane>\d+)"'
-    r' toLane="(?P<to_lane>\d+)"[^>]* via="(?P<via>[^"]+)"'
-)
 
 
 @dataclass(frozen=True)
@@ -61,7 +55,7 @@ def return_edges(
     """
     following = _following(plan, following_beyond or {})
     entered = {successor for names in following.values() for successor in names}
-    edges = {edge.id: edge for edge in plan.edges}
+    edges = plan.edge_of
     signalled = {junction.id for junction in plan.junctions if junction.kind == "traffic_light"}
     exits = [name for name, edge in edges.items() if not following[name] and edge.target not in signalled]
     all_entries = [name for name in edges if name not in entered]
@@ -182,26 +176,20 @@ def move_return_edges(net: Path, plan: NetPlan, edges: Sequence[ReturnEdge]) -> 
     """
     text = net.read_text(encoding="utf-8")
     shapes = _return_shapes(plan, edges)
-    lane_m = {(edge.id, n): lane.shape_m for edge in plan.edges for n, lane in enumerate(edge.lanes)}
     returns = {edge.id for edge in edges}
-    for match in VIA.finditer(text):
+    for match in CONNECTION_VIA.finditer(text):
         if match["target"] in returns:
-            end, before = lane_m[match["origin"], int(match["from_lane"])][[-1, -2]]
+            end, before = plan.edge_of[match["origin"]].lanes[int(match["from_lane"])].shape_m[[-1, -2]]
             shapes[match["via"]] = np.array([end, end + _connection_vector(before, end)])
         elif match["origin"] in returns:
-            start, after = lane_m[match["target"], int(match["to_lane"])][[0, 1]]
+            start, after = plan.edge_of[match["target"]].lanes[int(match["to_lane"])].shape_m[[0, 1]]
             shapes[match["via"]] = np.array([start + _connection_vector(after, start), start])
-
-    def moved(match: re.Match[str]) -> str:
-        shape = shapes.get(match["id"])
-        return match[0] if shape is None else match[1] + shape_text(shape) + match[4]
-
-    net.write_text(LANE.sub(moved, text), encoding="utf-8")
+    put_shapes(net, text, shapes)
 
 
 def _return_shapes(plan: NetPlan, edges: Sequence[ReturnEdge]) -> dict[str, FloatArray]:
     """Return the shape of each return edge's lane by lane id: side by side, heading north."""
-    west, south = np.vstack([lane.shape_m for edge in plan.edges for lane in edge.lanes]).min(axis=0)
+    west, south = plan.lane_points_m.min(axis=0)
     return {
         f"{edge.id}_0": np.array([[x, south], [x, south + LENGTH_M]])
         for edge, x in zip(edges, west - WEST_M - APART_M * np.arange(len(edges)), strict=True)

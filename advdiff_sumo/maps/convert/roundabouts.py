@@ -32,7 +32,7 @@ def find_rings(plan: NetPlan) -> tuple[Ring, ...]:
     connections: dict[str, list[ConnectionPlan]] = defaultdict(list)
     for connection in plan.connections:
         connections[connection.origin[0]].append(connection)
-    edges = {edge.id: edge for edge in plan.edges}
+    edges = plan.edge_of
     side = -1.0 if plan.lefthand else 1.0
     inner = {name: max(leaving, key=lambda c: side * _turn(c)) for name, leaving in connections.items()}
     rings, visited = [], set[str]()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import shapely
 from shapely.geometry import LineString, Polygon
 
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
-from advdiff_sumo.maps.convert.narrow import Ends
+from advdiff_sumo.maps.convert.narrow import Ends, by_junction
 from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
@@ -56,11 +55,8 @@ def waiting_turns(plan: NetPlan, source: SourceMap) -> list[tuple[Ends, Ends]]:
     areas = [line.area for line in source.stop_lines if line.kind.upper() == TURN_STOP]
     if not areas:
         return []
-    inside: dict[str, list[ConnectionPlan]] = defaultdict(list)
-    target = {edge.id: edge.target for edge in plan.edges}
-    for connection in plan.connections:
-        inside[target[connection.origin[0]]].append(connection)
-    pairs = {pair for connections in inside.values() for pair in _yielding_pairs(connections, areas)}
+    junctions = by_junction(plan).values()
+    pairs = {pair for connections in junctions for pair in _yielding_pairs(connections, areas)}
     return sorted(pair for pair in pairs if pair[::-1] not in pairs)
 
 

@@ -33,6 +33,6 @@ def absorb(layout: Layout, pieces: Sequence[Piece], longest_m: float, grouped: f
 def _at_rim(layout: Layout, piece: Piece) -> bool:
     """Return whether *piece* begins a lane without predecessor or ends a lane without successor."""
     lane_pieces = layout.pieces[piece.lane]
-    begins = lane_pieces[0] == piece and not any(b == piece.lane for _, b in layout.links)
-    ends = lane_pieces[-1] == piece and not any(a == piece.lane for a, _ in layout.links)
+    begins = lane_pieces[0] == piece and piece.lane not in layout.has_previous
+    ends = lane_pieces[-1] == piece and piece.lane not in layout.has_next
     return begins or ends

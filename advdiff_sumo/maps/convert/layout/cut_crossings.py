@@ -146,11 +146,10 @@ def _side_at(layout: Layout, group: Sequence[Piece], junctions: set[Hashable]) -
 
     None if neither or both do, or if a lane without a link ends there (the rim of the map).
     """
-    has_next, has_previous = {a for a, _ in layout.links}, {b for _, b in layout.links}
     sides = [side for side in (0, 1) if layout.joints.find((group[0], side)) in junctions]
     if len(sides) != 1:
         return None
-    linked = has_next if sides[0] else has_previous
+    linked = layout.has_next if sides[0] else layout.has_previous
     ends = {own[-sides[0]] for piece in group if (own := layout.pieces[piece.lane])}
     return sides[0] if all(piece not in ends or piece.lane in linked for piece in group) else None
 

@@ -59,8 +59,7 @@ def lay_out(
 
 def _add_rim_edges(layout: Layout, is_connector: Sequence[bool]) -> None:
     """Add an edge at the open end of each connector without predecessor or successor (at the rim of the map)."""
-    has_next = {a for a, _ in layout.links}
-    has_previous = {b for _, b in layout.links}
+    has_next, has_previous = layout.has_next, layout.has_previous
     for lane, length in enumerate(layout.lengths_m):
         if not is_connector[lane] or (lane in has_next and lane in has_previous):
             continue
@@ -89,7 +88,7 @@ def _make_room_for_direct_links(layout: Layout, is_connector: Sequence[bool]) ->
 def _even_out(layout: Layout, pairs: Sequence[SideBySide]) -> None:
     """Shorten the lanes of each edge to begin and end side by side; what is cut off belongs to the junctions."""
     pair_of = {(pair.right, pair.left): pair for pair in pairs}
-    has_next, has_previous = {a for a, _ in layout.links}, {b for _, b in layout.links}
+    has_next, has_previous = layout.has_next, layout.has_previous
     for number, group in enumerate(layout.groups):
         starts, ends = _offsets(group, pair_of, 0), _offsets(group, pair_of, 1)
         shorter = []

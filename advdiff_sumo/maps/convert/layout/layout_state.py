@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from advdiff_sumo.maps.convert.layout.joints import Joints
 from advdiff_sumo.maps.convert.layout.lane_segments import Piece
@@ -30,6 +31,16 @@ class Layout:
     groups: list[list[Piece]] = field(default_factory=list)
     joints: Joints = field(default_factory=Joints)
     counts: Counter[str] = field(default_factory=Counter)
+
+    @cached_property
+    def has_next(self) -> frozenset[int]:
+        """Lanes from which a link leads."""
+        return frozenset(a for a, _ in self.links)
+
+    @cached_property
+    def has_previous(self) -> frozenset[int]:
+        """Lanes to which a link leads."""
+        return frozenset(b for _, b in self.links)
 
     def all_pieces(self) -> list[Piece]:
         """Return every piece, ordered by lane and arc length."""

@@ -71,8 +71,7 @@ def add_streets(
     Raises:
         MapError: the extract cannot be used.
     """
-    lines = np.vstack([lane.shape_m for edge in plan.edges for lane in edge.lanes])
-    bounds = np.array([lines.min(axis=0), lines.max(axis=0)])
+    bounds = np.array([plan.lane_points_m.min(axis=0), plan.lane_points_m.max(axis=0)])
     with tempfile.TemporaryDirectory() as folder:
         net = import_streets(osm, projection, bounds, Path(folder), lefthand=plan.lefthand)
     area = _map_area(plan, drivable)
@@ -100,9 +99,10 @@ def add_streets(
 
 def _map_area(plan: NetPlan, drivable: BaseGeometry) -> BaseGeometry:
     """Return the area of the map: its drivable area, lanes and connections."""
-    width_of = {(edge.id, n): lane.width_m for edge in plan.edges for n, lane in enumerate(edge.lanes)}
     lanes = [(lane.shape_m, lane.width_m) for edge in plan.edges for lane in edge.lanes]
-    connections = [(c.shape_m, width_of[c.origin]) for c in plan.connections]
+    connections = [
+        (c.shape_m, plan.edge_of[c.origin[0]].lanes[c.origin[1]].width_m) for c in plan.connections
+    ]
     strips = [
         LineString(line).buffer(0.5 * width, cap_style="flat")
         for line, width in (*lanes, *connections)

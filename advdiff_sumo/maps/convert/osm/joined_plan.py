@@ -14,13 +14,13 @@ from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M
 from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import (
-    WIDEST_WAY_M,
     ConnectionPlan,
     JunctionPlan,
     NetPlan,
     end_bar,
     junction_shape,
     turn_speed,
+    way_strip,
 )
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch
 from advdiff_sumo.maps.convert.osm.rim_joints import Joint, RimConnection
@@ -92,12 +92,7 @@ def _junction(joint: Joint, name: str, stretch: StreetStretch, plan: NetPlan) ->
     widths = [lane.width_m for rim in joint.rims for lane in rim.edge.lanes]
     lines += [_away_from_node(line, not joint.is_exit) for line in stretch.lane_lines(plan.lefthand)]
     widths += stretch.street.widths_m
-    strips = [
-        LineString(way.shape_m).buffer(
-            0.5 * min(way.edge.lanes[way.lane].width_m, WIDEST_WAY_M), cap_style="flat"
-        )
-        for way in joint.ways
-    ]
+    strips = [way_strip(way.shape_m, way.edge.lanes[way.lane].width_m) for way in joint.ways]
     bars = [end_bar(line, width) for line, width in zip(lines, widths, strict=True)]
     shape = junction_shape(strips, bars, [LineString(line) for line in lines])
     middle = nearest_points(shape, MultiPoint([line[0] for line in lines]).centroid)[0]

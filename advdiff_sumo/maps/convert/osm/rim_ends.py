@@ -52,8 +52,7 @@ class RimEnd:
 
 def rim_ends(plan: NetPlan) -> list[RimEnd]:
     """Return the exits and entries of the map: ends of edges with lanes for cars, at junctions without connections."""
-    edges = {edge.id: edge for edge in plan.edges}
-    inner = {edges[connection.origin[0]].target for connection in plan.connections}
+    inner = {plan.edge_of[connection.origin[0]].target for connection in plan.connections}
     return [
         end
         for edge in plan.edges

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
+from advdiff_sumo.maps.convert.netplan import NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import Direction
 from advdiff_sumo.maps.read_net import marked_requests
 
@@ -61,15 +60,13 @@ def signal_links(root: ET.Element, plan: NetPlan) -> dict[str, list[SignalLink]]
         plan: the plan.
     """
     rows: dict[str, list[ET.Element]] = defaultdict(list)
-    edges = {edge.id: edge for edge in plan.edges}
     for row in root.iterfind("connection"):
-        if row.get("tl") and row.get("via") and row.get("from") in edges:  # no streets beyond the rim
+        if row.get("tl") and row.get("via") and row.get("from") in plan.edge_of:  # no streets beyond the rim
             rows[row.attrib["tl"]].append(row)
     conflicts = _Conflicts(root)
     return {
         signal: sorted(
-            (_link(row, signal_rows, conflicts, plan, edges) for row in signal_rows),
-            key=lambda link: link.index,
+            (_link(row, signal_rows, conflicts, plan) for row in signal_rows), key=lambda link: link.index
         )
         for signal, signal_rows in rows.items()
     }
@@ -95,18 +92,12 @@ class _Conflicts:
                 self.yields_to[internal_lane] |= response
 
 
-def _link(
-    row: ET.Element,
-    signal_rows: list[ET.Element],
-    conflicts: _Conflicts,
-    plan: NetPlan,
-    edges: Mapping[str, EdgePlan],
-) -> SignalLink:
+def _link(row: ET.Element, signal_rows: list[ET.Element], conflicts: _Conflicts, plan: NetPlan) -> SignalLink:
     """Return the link of connection *row*; *signal_rows* are all connections of its signal."""
     index = {link_row.attrib["via"]: int(link_row.attrib["linkIndex"]) for link_row in signal_rows}
     origin, target = (row.attrib["from"], int(row.attrib["fromLane"])), row.attrib["to"]
     connection = plan.connection_of[*origin, target, int(row.attrib["toLane"])]
-    lane = edges[origin[0]].lanes[origin[1]]
+    lane = plan.edge_of[origin[0]].lanes[origin[1]]
     letter, via = row.get("dir", "s"), row.attrib["via"]
     turnaround = Direction.RIGHT if plan.lefthand else Direction.LEFT
     return SignalLink(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
 from shapely.geometry import LineString, MultiPolygon, Polygon
@@ -158,3 +159,8 @@ class SourceMap:
     warnings: tuple[str, ...] = ()
     projection: str | None = None
     keeps_left: bool = False
+
+    @cached_property
+    def number_of(self) -> dict[str, int]:
+        """Positions in *lanes* by token."""
+        return {lane.token: number for number, lane in enumerate(self.lanes)}

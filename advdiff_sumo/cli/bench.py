@@ -46,6 +46,7 @@ Policies = Annotated[
 Targets = Annotated[
     str | None, typer.Option(help="Only these targets, with commas.", show_default="all there are")
 ]
+Steps = Annotated[int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")]
 Licence = Annotated[
     str | None,
     typer.Option(help="What attackers may do: lawful, careless, reckless.", show_default="reckless"),
@@ -126,9 +127,7 @@ def transfer(
     policies: Policies = None,
     targets: Targets = None,
     horizon: Horizon = None,
-    steps: Annotated[
-        int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
-    ] = None,
+    steps: Steps = None,
     licence: Licence = None,
     workers: Workers = None,
     timeout: Timeout = 600.0,
@@ -151,9 +150,7 @@ def fewshot(
     seeds: Annotated[
         int | None, typer.Option(min=1, help="Warm-ups of each target.", show_default="5")
     ] = None,
-    steps: Annotated[
-        int | None, typer.Option(min=1, help="Steps of each warm-up.", show_default="90")
-    ] = None,
+    steps: Steps = None,
     horizon: Horizon = None,
     licence: Licence = None,
     workers: Workers = None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import importlib.util
 import inspect
 import re
@@ -14,6 +13,8 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import CodeType
+
+from advdiff_sumo.core.whole_file import sha256_of
 
 _OUR_PACKAGE = str(Path(__file__).parents[1])
 #: Arguments with which a planner's methods are called.
@@ -107,7 +108,7 @@ def code_digests(names: Iterable[str]) -> dict[str, str]:
     Built-ins and servers have none. Modules that the file imports are not included.
     """
     files = {name: _file_of(name.partition(":")[0]) for name in sorted(set(names)) if ":" in name}
-    return {name: hashlib.sha256(file.read_bytes()).hexdigest()[:16] for name, file in files.items() if file}
+    return {name: sha256_of(file)[:16] for name, file in files.items() if file}
 
 
 def _file_of(module: str) -> Path | None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from advdiff_sumo.core.errors import FileError
+from advdiff_sumo.core.errors import FileError, first_line
 from advdiff_sumo.core.whole_file import arrow_path
 
 RUN_SETTINGS, SWEEP_SETTINGS = "run.toml", "sweep.toml"
@@ -56,7 +56,7 @@ class RunTables:
         except (FileNotFoundError, NotADirectoryError):
             raise self.error(path, "is missing", self.remedy) from None
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise self.error(path, f"cannot be read ({_line(error)})", self.remedy) from None
+            raise self.error(path, f"cannot be read ({first_line(error)})", self.remedy) from None
 
     def situation(self) -> str:
         """Return the option ``scene.situation`` of a run; "any" for a sweep, whose episodes have a column of it.
@@ -136,10 +136,6 @@ class RunTables:
 
     def _unusable(self, path: Path, error: Exception) -> FileError:
         is_missing = isinstance(error, FileNotFoundError)
-        problem = "is missing" if is_missing else f"is damaged ({_line(error)})"
+        problem = "is missing" if is_missing else f"is damaged ({first_line(error)})"
         again = f"advdiff-sumo results {shlex.quote(str(self.folder))} writes it again"
         return self.error(path, problem, again if self.is_sweep else self.remedy)
-
-
-def _line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

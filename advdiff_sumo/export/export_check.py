@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.core.frames import wrap_angle
+from advdiff_sumo.core.whole_file import sha256_of
 from advdiff_sumo.export.export_scene import ExportScene, ImportedScene
 from advdiff_sumo.export.exporter_protocol import Exporter
 
@@ -54,7 +54,7 @@ def _file_problems(files: tuple[Path, ...], scene: ExportScene, folder: Path) ->
 
 
 def _digest(path: Path) -> tuple[str, str]:
-    return path.name, hashlib.sha256(path.read_bytes()).hexdigest()
+    return path.name, sha256_of(path)
 
 
 def _refusal_problems(exporter: Exporter, path: Path) -> Iterator[str]:

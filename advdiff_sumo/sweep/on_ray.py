@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.errors import ConfigError, MissingExtraError
+from advdiff_sumo.core.errors import ConfigError, MissingExtraError, first_line
 from advdiff_sumo.maps.shipped_nets import shipped_networks
 from advdiff_sumo.sweep.sweep_files import write_whole
 from advdiff_sumo.sweep.tasks import CallTask, Failed, Outcome, Task, WorkerLimits
@@ -66,7 +66,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
             ray.init(self.address, log_to_driver=False, logging_level="error", **local)
         except Exception as error:  # noqa: BLE001 - Ray also raises plain exceptions
             where = f"--ray-address {self.address}" if self.address else "--executor ray"
-            raise ConfigError(f"{where}: no cluster ({_first_line(error)}); see docs/sweeps.md") from None
+            raise ConfigError(f"{where}: no cluster ({first_line(error)}); see docs/sweeps.md") from None
         if self._count_cores:
             self.slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
         assets = {str(path): path.read_bytes() for path in self.nets if path.parent != shipped_networks()}
@@ -92,7 +92,7 @@ class RayExecutor(AbstractContextManager["RayExecutor"]):
         try:
             outcome: Outcome = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:
-            return Outcome(task.key, (), Failed("error", _first_line(error), str(error)))
+            return Outcome(task.key, (), Failed("error", first_line(error), str(error)))
         except self._ray.exceptions.RayError as error:  # the worker or its machine is lost
             return outcome_of_dead_worker(task, self.limits, None, f"was lost ({type(error).__name__})")
         return outcome
@@ -121,7 +121,7 @@ def _must_be_reachable(address: str | None) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECT_S).close()
     except (OSError, OverflowError) as error:
-        reason = f"nobody answers ({_first_line(error)})"
+        reason = f"nobody answers ({first_line(error)})"
         raise ConfigError(f"--ray-address {address}: no cluster, {reason}; see docs/sweeps.md") from None
 
 
@@ -155,7 +155,3 @@ def _import_ray() -> Any:
         return importlib.import_module("ray")
     except ImportError:
         raise MissingExtraError("--executor ray", "ray") from None
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -102,7 +102,7 @@ class Scheduler:
         """Return the next task: a batch of seed scenes while fewer episodes than slots are ready, else an episode."""
         while self._batches_to_make and len(self._ready) < self.executor.slots:
             batch = self._batches_to_make.popleft()
-            if not self._has_scenes(batch):
+            if not self.store.has_scenes(batch.key, batch.scenes):
                 return self._scene_task(batch)
             self._release(batch)
         while self._ready:
@@ -118,10 +118,6 @@ class Scheduler:
                 return EpisodeTask(job.key, options, job.number, scene, self._net(options.net))
             self._beyond_log.append((job, len(scenes)))
         return None
-
-    def _has_scenes(self, batch: Batch) -> bool:
-        """Return whether the seed scenes of *batch* are stored; a log may have fewer scenes than wanted."""
-        return self.store.has_scenes(batch.key, batch.scenes)
 
     def _scene_task(self, batch: Batch) -> SceneTask:
         return SceneTask(**vars(batch), net_digest=self._net(batch.options.net))

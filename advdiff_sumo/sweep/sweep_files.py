@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import FileError, is_disk_full, os_reason
-from advdiff_sumo.core.whole_file import whole_file
+from advdiff_sumo.core.whole_file import sha256_of, whole_file
 
 _NO_VERSIONS = {"inputs", "repeats"}  # entries beside versions in the table of versions
 _HEADER = b"advdiff-sumo 1 "
@@ -70,8 +70,7 @@ def unwritable(path: Path, error: OSError) -> FileError:
 def checksum_of(path: Path) -> str:
     """Return the checksum of a file's content; "" if it is missing."""
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError:
         return ""
 

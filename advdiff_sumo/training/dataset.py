@@ -15,6 +15,7 @@ from torch import Tensor
 from advdiff_sumo.core.errors import ConfigError, FileError
 from advdiff_sumo.core.map_view import MAP_PIECES, MapView
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.whole_file import sha256_of
 from advdiff_sumo.data.window_files import DRIVEN, WindowFile, read_windows, window_paths
 from advdiff_sumo.models.batch import SceneBatch
 from advdiff_sumo.models.collate import Jitter, collate
@@ -116,7 +117,7 @@ def read_window_set(paths: Iterable[Path]) -> WindowSet:
                 "leave it out, or build it again",
             )
     agents = np.concatenate([np.diff(file.offset) for file in files])
-    digest = hashlib.sha256("".join(sorted(_hash(path) for path in sources)).encode()).hexdigest()
+    digest = hashlib.sha256("".join(sorted(map(sha256_of, sources))).encode()).hexdigest()
     return WindowSet(
         files,
         np.repeat(np.arange(len(files)), counts),
@@ -237,8 +238,3 @@ def _inverse(order: IntArray) -> Tensor:
 
 def _drive(file: WindowFile, row: int) -> str:
     return f"{file.source}|{file.map_name}|{file.scene_names[file.scene[row]]}"
-
-
-def _hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -16,6 +16,7 @@ from advdiff_sumo import __version__
 from advdiff_sumo.core.errors import ConfigError
 from advdiff_sumo.core.map_view import MapView
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.whole_file import sha256_of
 from advdiff_sumo.models.bundle import Bundle, BundleOptions, load_bundle, new_bundle, save_bundle
 from advdiff_sumo.models.closed_loop_decoder import ClosedLoopDecoder
 from advdiff_sumo.models.model_options import ModelOptions
@@ -138,7 +139,7 @@ def _job(
     device: torch.device,
 ) -> TrainingJob:
     train, held_out = sides
-    source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_hash(plan.init)}".encode()).hexdigest()
+    source = hashlib.sha256(f"{windows.digest}{held_out.digest}{_digest_of(plan.init)}".encode()).hexdigest()
     return TrainingJob(
         stage,
         options,
@@ -390,5 +391,5 @@ def _listed(stages: tuple[str, ...]) -> str:
     return "no trained stage" if not stages else "the stages " + ", ".join(stages)
 
 
-def _hash(path: Path | None) -> str:
-    return "" if path is None else hashlib.sha256(weights_file(path).read_bytes()).hexdigest()
+def _digest_of(weights: Path | None) -> str:
+    return "" if weights is None else sha256_of(weights_file(weights))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import FileError
 from advdiff_sumo.experiments.bench.defect_cells import SOUND
-from advdiff_sumo.experiments.bench.defect_score import COUNTS, DETECTIONS
+from advdiff_sumo.experiments.bench.defect_score import COUNTS, DETECTIONS, RULE_COLUMNS
 from advdiff_sumo.experiments.bench.table import Table
 
 
@@ -45,7 +45,7 @@ def defects_object(path: Path, table: Table) -> dict[str, Any]:
 def _defect(row: Mapping[str, str]) -> dict[str, Any]:
     return {
         **{name: row[name] for name in ("background", "target", "defect")},
-        "detected": row["detected"] == "true",
+        "detected": _flag(row["detected"]),
         **{name: float(row[name]) for name in ("p", "p_holm")},
         **{name: int(row[name]) for name in COUNTS},
         **_by_rules(row),
@@ -53,11 +53,14 @@ def _defect(row: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _by_rules(row: Mapping[str, str]) -> dict[str, Any]:
-    if "detected_by_rules" not in row:  # of an earlier version
+    if RULE_COLUMNS[-1] not in row:  # of an earlier version
         return {}
-    counts = {name: int(row[name]) for name in ("broke_rule", "sound_broke_rule")}
-    detected = row["detected_by_rules"] == "true"
-    return {**counts, "rules_p_holm": float(row["rules_p_holm"]), "detected_by_rules": detected}
+    readers: tuple[Callable[[str], object], ...] = (int, int, float, _flag)
+    return {name: read(row[name]) for name, read in zip(RULE_COLUMNS, readers, strict=True)}
+
+
+def _flag(text: str) -> bool:
+    return text == "true"
 
 
 def _sound(table: Table) -> list[dict[str, Any]]:

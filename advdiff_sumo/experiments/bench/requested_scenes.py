@@ -87,7 +87,7 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
         for net, count in by_net.items()
         if number < count
     )
-    scene_list = SceneList(
+    return SceneList(
         about="; ".join(("a window a second of a driving log", *left_out)),
         nets={net: file_digest(*net_files(net)) for net in by_net},
         sumo=version("libsumo"),
@@ -95,8 +95,7 @@ def scenes_of_log(log: Path, reader: LogReader, folder: Path) -> SceneList:
         scene=options,
         scenes=scenes,
         log=str(log),
-    )
-    return scene_list.model_copy(update={"sha256": scene_list.content_digest})
+    ).sealed()
 
 
 def _roads(reader: LogReader, folder: Path) -> tuple[dict[str, RoadMap], list[str]]:

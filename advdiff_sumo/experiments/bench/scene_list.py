@@ -118,8 +118,11 @@ class SceneList(Options):
         """
         if count > len(self.scenes):
             raise ConfigError(f"--scenes {count}: the list has {len(self.scenes)}; ask for at most so many")
-        shortened = self.model_copy(update={"scenes": self.scenes[:count], "sha256": ""})
-        return shortened.model_copy(update={"sha256": shortened.content_digest})
+        return self.model_copy(update={"scenes": self.scenes[:count]}).sealed()
+
+    def sealed(self) -> SceneList:
+        """Return the list with the digest of its content as ``sha256``."""
+        return self.model_copy(update={"sha256": self.content_digest})
 
     def counts(self) -> dict[tuple[str, int, str], int]:
         """Return the number of scenes of each net, seed and stratum, in the list's order."""
@@ -214,7 +217,7 @@ def make_list(
         for number in range(per_net)
         for net, group_seed, name in groups
     )
-    scene_list = SceneList(
+    return SceneList(
         about=about,
         nets={net: file_digest(*net_files(net)) for net, _, _ in groups},
         sumo=version("libsumo"),
@@ -222,8 +225,7 @@ def make_list(
         scene=scene_options,
         strata={name: stratum.scene for name, stratum in parts.items() if name},
         scenes=scenes,
-    )
-    return scene_list.model_copy(update={"sha256": scene_list.content_digest})
+    ).sealed()
 
 
 def write_scene_list(path: Path, scenes: SceneList) -> None:

@@ -7,7 +7,6 @@ as the expert).
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from advdiff_sumo.core.errors import EpisodeFailure
 from advdiff_sumo.core.record import Controller
 from advdiff_sumo.core.seeds import SeedTree
+from advdiff_sumo.core.whole_file import sha256_of
 from advdiff_sumo.data.window_files import DT_S, FUTURE
 from advdiff_sumo.maps import RoadMap
 from advdiff_sumo.models.shipped_weights import find_weights
@@ -66,7 +66,7 @@ class DrivingModel:
         """
         path = find_weights(weights)
         _policy(str(path))  # raises if the networks cannot drive
-        return DrivingModel(path, hashlib.sha256(path.read_bytes()).hexdigest())
+        return DrivingModel(path, sha256_of(path))
 
     def policy(self) -> TrafficPolicy:
         """Return the model as a background without a guide; the networks are read once per process.

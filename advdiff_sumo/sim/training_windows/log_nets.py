@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
 from advdiff_sumo.core.errors import AdvdiffError, InputError, LogError
+from advdiff_sumo.core.whole_file import sha256_of
 from advdiff_sumo.data import (
     Argoverse2Reader,
     CommonRoadReader,
@@ -87,7 +87,7 @@ def _net_of(source: Path, folder: Path) -> Path:
 
     A net of the same name that was made from another map is kept; the new one then gets a number.
     """
-    content = hashlib.sha256(source.read_bytes()).hexdigest()
+    content = sha256_of(source)
     for number in count(1):
         name = map_name(source) + (f"-{number}" if number > 1 else "")
         net, made_of = folder / f"{name}.net.xml", folder / f"{name}.source"

@@ -14,7 +14,7 @@ import numpy as np
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
-from advdiff_sumo.maps.convert.netplan import NetPlan
+from advdiff_sumo.maps.convert.netplan import ConnectionKey, NetPlan
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.lanes import edge_of_lane
 from advdiff_sumo.maps.read_net import points_of
@@ -58,7 +58,7 @@ def annotate_net(net: Path, plan: NetPlan) -> None:
     net.write_text(INTERNAL.sub(_with_true_length, text), encoding="utf-8")
 
 
-def connection_key(match: re.Match[str]) -> tuple[str, int, str, int]:
+def connection_key(match: re.Match[str]) -> ConnectionKey:
     """Return from edge and lane, to edge and lane of a match of ``CONNECTION`` or ``CONNECTION_VIA``."""
     return match["origin"], int(match["from_lane"]), match["target"], int(match["to_lane"])
 

@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from advdiff_sumo.maps.convert.approaches import Approaches
-from advdiff_sumo.maps.convert.narrow import by_junction, junctions_of, long_conflicts
+from advdiff_sumo.maps.convert.missed_conflicts import by_junction, junctions_of, long_conflicts
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.roundabouts import find_rings
 from advdiff_sumo.maps.convert.sources.source_map import Lamp, Signal, SourceMap

@@ -24,9 +24,9 @@ from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection, find_con
 from advdiff_sumo.maps.convert.layout.lay_out import lay_out
 from advdiff_sumo.maps.convert.layout.layout_state import Layout
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide, find_side_by_side
-from advdiff_sumo.maps.convert.narrow import Ends, unseen_conflicts, write_conflicts
+from advdiff_sumo.maps.convert.missed_conflicts import unseen_conflicts, write_conflicts
 from advdiff_sumo.maps.convert.netconvert import run_netconvert
-from advdiff_sumo.maps.convert.netplan import NetPlan, Track
+from advdiff_sumo.maps.convert.netplan import Ends, NetPlan, Track
 from advdiff_sumo.maps.convert.opendrive import write_opendrive
 from advdiff_sumo.maps.convert.osm.add_streets import NO_STREETS, Streets, add_streets
 from advdiff_sumo.maps.convert.osm.import_streets import PREFIX as STREET_PREFIX

@@ -101,7 +101,7 @@ def _lines_by_lane(result: ConversionResult, net: WrittenNet) -> dict[int, list[
         if key in net.lanes:
             lines[piece.lane].append(net.lanes[key][0])
     for connection in result.plan.connections:
-        written = net.connections.get((*connection.origin, *connection.target))
+        written = net.connections.get(connection.key)
         for lane in {part.lane for part in connection.lane_connection.parts} if written else ():
             lines[lane].append(written[0])  # type: ignore[index]  # the loop is empty when it is None
     return lines
@@ -146,7 +146,7 @@ def _net_lines(result: ConversionResult, net: WrittenNet) -> Iterable[tuple[Floa
         if key in net.lanes:
             yield net.lanes[key][0], [piece.lane]
     for connection in result.plan.connections:
-        written = net.connections.get((*connection.origin, *connection.target))
+        written = net.connections.get(connection.key)
         if written:
             yield written[0], list(connection.lane_connection.lanes)
 
@@ -189,12 +189,11 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
     """Return which links of the source the net holds; a link is a step from one lane to the next on a connection."""
     held: set[tuple[int, int]] = set()
     for connection in result.plan.connections:
-        if (*connection.origin, *connection.target) in net.connections:
+        if connection.key in net.connections:
             held |= set(itertools.pairwise(connection.lane_connection.lanes))
     links = result.layout.links
     number = result.source.number_of
     stated = {(number[a], number[b]) for a, b in result.given.links if a in number and b in number}
-    planned = {(*c.origin, *c.target) for c in result.plan.connections}
     tokens = [lane.token for lane in result.source.lanes]
     given = result.given.stated.links if result.given.stated else len(result.given.links)
     return {
@@ -203,7 +202,7 @@ def _connection_counts(result: ConversionResult, net: WrittenNet) -> dict[str, A
         "kept": sum(link in held for link in links if link in stated),
         "repaired": sum(link in held for link in links if link not in stated),
         "lost": [[tokens[a], tokens[b]] for a, b in links if (a, b) not in held],
-        "invented": sorted(map(list, set(net.connections) - planned), key=str),
+        "invented": sorted(map(list, net.connections.keys() - result.plan.connection_of.keys()), key=str),
         "second_ways_left_out": [[tokens[n] for n in duplicate.lanes] for duplicate in result.duplicates],
         "parts_drawn_by_several_ways": _repeated_parts(result),
     }

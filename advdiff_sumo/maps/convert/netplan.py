@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -31,6 +32,8 @@ SLIT_M = 0.02  # half the width of the cut along a lane in the shape of a juncti
 LIP_M = 0.005  # overlap of a junction's shape with the beginning of a lane
 COLLAR_M = 0.3  # width of junction area added around a lane that divides the junction's shape
 VARIES_M = 0.2  # a width that varies by more is written as a profile
+Ends: TypeAlias = tuple[str, str]  # from edge and to edge of a connection
+ConnectionKey: TypeAlias = tuple[str, int, str, int]  # from edge and lane, to edge and lane of a connection
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +132,14 @@ class ConnectionPlan:
     passes: bool = False
 
     @property
-    def key(self) -> tuple[str, int, str, int]:
+    def key(self) -> ConnectionKey:
         """From edge and lane, to edge and lane."""
         return *self.origin, *self.target
+
+    @property
+    def ends(self) -> Ends:
+        """From edge and to edge."""
+        return self.origin[0], self.target[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +184,7 @@ class NetPlan:
     idle_signals: tuple[str, ...] = ()
     lamps: Mapping[str, frozenset[Lamp]] = field(default_factory=dict)
     lights: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    long_conflicts: frozenset[frozenset[tuple[str, str]]] = frozenset()
+    long_conflicts: frozenset[frozenset[Ends]] = frozenset()
 
     @cached_property
     def edge_of(self) -> dict[str, EdgePlan]:
@@ -189,7 +197,7 @@ class NetPlan:
         return np.vstack([lane.shape_m for edge in self.edges for lane in edge.lanes])
 
     @cached_property
-    def connection_of(self) -> dict[tuple[str, int, str, int], ConnectionPlan]:
+    def connection_of(self) -> dict[ConnectionKey, ConnectionPlan]:
         """Connections by from edge and lane, to edge and lane."""
         return {connection.key: connection for connection in self.connections}
 

@@ -10,8 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from advdiff_sumo.maps.convert.lane_routes import CHANGE_M
-from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, JunctionPlan, NetPlan, Ring
+from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, Ends, JunctionPlan, NetPlan, Ring
 from advdiff_sumo.maps.convert.osm.street_xml import NO_ROWS, StreetRows
 from advdiff_sumo.maps.convert.polyline import shape_text
 from advdiff_sumo.maps.convert.rim import ReturnEdge, return_connections, return_rows

@@ -6,16 +6,19 @@ They lie west of the map and have the type :data:`BEYOND_TYPE`. Nothing is measu
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+import shapely
+from shapely.geometry import LineString
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.annotate import CONNECTION_VIA, put_shapes
-from advdiff_sumo.maps.convert.entry_room import blocked_entries
+from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
+from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M
 from advdiff_sumo.maps.convert.netplan import EdgePlan, NetPlan
 from advdiff_sumo.maps.convert.routability import reachable, strong_parts
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
@@ -45,9 +48,9 @@ def return_edges(
     Then partners are exchanged until all edges that can reach an exit can reach each other. Exits that no entry leads
     to are joined to the nearest entry afterwards.
 
-    Entries that lie on other lanes of the map (:mod:`.entry_room`) get no return edge. The same holds for entries and
-    exits in a signalled junction, as its program covers the connections of the map only. Without exits or entries left
-    there are no return edges.
+    Entries that lie on other lanes of the map (:func:`blocked_entries`) get no return edge. The same holds for entries
+    and exits in a signalled junction, as its program covers the connections of the map only. Without exits or entries
+    left there are no return edges.
 
     Args:
         plan: the planned net.
@@ -69,6 +72,31 @@ def return_edges(
     pairs = _strongly_connected(_pair_nearest(edges, used, entries), following)
     pairs += _pair_each_with_nearest(edges, [name for name in exits if name not in used], entries)
     return tuple(ReturnEdge(f"rim{n}", edges[a], edges[b]) for n, (a, b) in enumerate(pairs)), left_open
+
+
+def blocked_entries(plan: NetPlan, names: Iterable[str]) -> list[str]:
+    """Return those of the edges *names*, which have no predecessor, where an entering car would block another lane.
+
+    The body of an entering car still lies behind the beginning of the edge. There it may be less than 2.2 m away from
+    other lanes or connections. Their junction has no connection for this car, so no vehicle yields to it.
+    """
+    lanes = [({edge.id}, lane.shape_m) for edge in plan.edges for lane in edge.lanes]
+    connections = [({c.origin[0], c.target[0]}, c.shape_m) for c in plan.connections]
+    owners = [owner for owner, _ in (*lanes, *connections)]
+    tree = shapely.STRtree([LineString(line) for _, line in (*lanes, *connections)])
+
+    def is_blocked(name: str) -> bool:
+        bodies = [_entering_body(lane.shape_m) for lane in plan.edge_of[name].lanes]
+        near = np.unique(tree.query(bodies, predicate="dwithin", distance=BODIES_M)[1])
+        return any(name not in owners[number] for number in near.tolist())
+
+    return [name for name in names if is_blocked(name)]
+
+
+def _entering_body(lane_m: FloatArray) -> LineString:
+    """Return the line that a car and its standing gap occupy when its front enters a lane (N, 2)."""
+    start, after = lane_m[:2]
+    return LineString([start, start - ROOM_M * (after - start) / np.hypot(*(after - start))])
 
 
 def _following(plan: NetPlan, beyond: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:

@@ -9,8 +9,8 @@ import shapely
 from shapely.geometry import LineString, Polygon
 
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
-from advdiff_sumo.maps.convert.narrow import Ends, by_junction
-from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, LanePlan, NetPlan
+from advdiff_sumo.maps.convert.missed_conflicts import by_junction
+from advdiff_sumo.maps.convert.netplan import ConnectionPlan, EdgePlan, Ends, LanePlan, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import SourceMap
 
 LEAST_OFFSET_M = 0.5  # a stop line nearer to the end of its lane counts as being at the end
@@ -70,4 +70,4 @@ def _yielding_pairs(
         for foe, foe_line, foe_must_yield in zip(connections, lines, has_stop, strict=True):
             conflict = connection.origin[0] != foe.origin[0] and line.distance(foe_line) < BODIES_M
             if must_yield and not foe_must_yield and conflict:
-                yield (foe.origin[0], foe.target[0]), (connection.origin[0], connection.target[0])
+                yield foe.ends, connection.ends

@@ -10,10 +10,9 @@ import numpy as np
 import sumolib
 
 from advdiff_sumo.core.arrays import FloatArray
+from advdiff_sumo.maps.convert.netplan import ConnectionKey
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
 from advdiff_sumo.maps.read_net import BEYOND_TYPE
-
-ConnectionKey = tuple[str, int, str, int]  # from edge and lane, to edge and lane
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from small_maps import MapBuilder
 
 from advdiff_sumo.core import boxes
 from advdiff_sumo.maps.convert import ConversionResult, convert_source
-from advdiff_sumo.maps.convert.narrow import shared_span
+from advdiff_sumo.maps.convert.missed_conflicts import shared_span
 from advdiff_sumo.maps.convert.sources.read_map import read_map
 from advdiff_sumo.sim.driving_test import driving_test
 from advdiff_sumo.sim.session import Session, SessionOptions

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.layout.clear_stretches import STUB_M, clear_stretches
+from advdiff_sumo.maps.convert.layout.connector_edges import (
+    divide_at_crossings,
+    divide_double_connections,
+    remove_loops,
+)
 from advdiff_sumo.maps.convert.layout.crossings import join_crossing_lanes
 from advdiff_sumo.maps.convert.layout.grouping import KEEP_SHARE, group_pieces
 from advdiff_sumo.maps.convert.layout.lane_segments import CUT_M, Piece, cut_lanes
 from advdiff_sumo.maps.convert.layout.layout_state import Layout, joints_of
 from advdiff_sumo.maps.convert.layout.neighbours import SideBySide
-from advdiff_sumo.maps.convert.layout.part_junctions import (
-    divide_at_crossings,
-    divide_double_connections,
-    remove_loops,
-)
 
 SHORTEST_EDGE_M = 1.0  # shortest edge: netconvert moves the ends of shorter ones
 

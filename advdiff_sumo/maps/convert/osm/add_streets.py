@@ -19,8 +19,7 @@ from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.polylines import line_length_m
-from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import NetPlan
+from advdiff_sumo.maps.convert.netplan import Ends, NetPlan
 from advdiff_sumo.maps.convert.osm.cut_streets import StreetStretch, StretchGraph, stretches_outside
 from advdiff_sumo.maps.convert.osm.import_streets import import_streets
 from advdiff_sumo.maps.convert.osm.joined_plan import JointNames, first_to_go, joined_plan

@@ -12,9 +12,9 @@ from shapely.ops import nearest_points
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.layout.lane_paths import LaneConnection
 from advdiff_sumo.maps.convert.layout.lane_segments import ROOM_M
-from advdiff_sumo.maps.convert.narrow import Ends
 from advdiff_sumo.maps.convert.netplan import (
     ConnectionPlan,
+    Ends,
     JunctionPlan,
     NetPlan,
     end_bar,

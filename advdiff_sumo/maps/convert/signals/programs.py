@@ -16,8 +16,7 @@ from shapely.geometry import LineString, Point
 
 from advdiff_sumo.core.signal_letters import GREEN, PLAIN_RED, PLAIN_YELLOW, PROTECTED_GREEN, YIELDING_GREEN
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
-from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import NetPlan
+from advdiff_sumo.maps.convert.netplan import Ends, NetPlan
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink, signal_links
 from advdiff_sumo.maps.convert.signals.stages import Stage, stages, state_of
 from advdiff_sumo.maps.convert.sources.source_map import Direction

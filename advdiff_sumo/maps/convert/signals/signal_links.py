@@ -7,8 +7,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 from advdiff_sumo.core.arrays import FloatArray
-from advdiff_sumo.maps.convert.narrow import Ends
-from advdiff_sumo.maps.convert.netplan import NetPlan
+from advdiff_sumo.maps.convert.netplan import Ends, NetPlan
 from advdiff_sumo.maps.convert.sources.source_map import Direction
 from advdiff_sumo.maps.read_net import marked_requests
 

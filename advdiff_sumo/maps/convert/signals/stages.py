@@ -16,7 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from advdiff_sumo.core.signal_letters import PLAIN_RED, PROTECTED_GREEN, YIELDING_GREEN
-from advdiff_sumo.maps.convert.narrow import Ends
+from advdiff_sumo.maps.convert.netplan import Ends
 from advdiff_sumo.maps.convert.signals.signal_links import SignalLink
 from advdiff_sumo.maps.convert.sources.source_map import CIRCULAR, Direction, Lamp
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
@@ -139,7 +140,12 @@ def largest_part(ring: FloatArray) -> Polygon | None:
     polygon = Polygon(ring)
     if polygon.is_valid:
         return polygon if polygon.area > 0 else None
-    parts = as_multi(shapely.make_valid(polygon))
+    return largest_valid(polygon)
+
+
+def largest_valid(shape: BaseGeometry | None) -> Polygon | None:
+    """Return the largest polygon of *shape* after it is made valid; None if there is none."""
+    parts = MultiPolygon() if shape is None else as_multi(shapely.make_valid(shape))
     return max(parts.geoms, key=lambda part: part.area, default=None)
 
 

@@ -15,6 +15,7 @@ from shapely.geometry import LineString, Polygon
 
 from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
+from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.sources.bounded_lanes import (
     BoundedLane,
     covered_area,
@@ -236,9 +237,8 @@ def _stop_lines(root: Element, lanes: list[SourceLane], rules: dict[str, str]) -
 
 def _end_bar(lane: SourceLane) -> Polygon:
     """Return the area of a stop line across the end of *lane*, from 1 m left to 1 m right of its centre line."""
-    end, before = lane.centre_m[-1], lane.centre_m[-2]
-    along = (end - before) / np.hypot(*(end - before))
-    across = np.array([-along[1], along[0]])
+    before, end = lane.centre_m[-2:]
+    across = polyline.left_of(polyline.direction(before, end))
     return LineString([end - across, end + across]).buffer(HALF_LINE_M, cap_style="flat")
 
 

@@ -84,15 +84,13 @@ def lanelet2_map(root: Element, path: Path) -> SourceMap:
     faults = MapFaults(path)
     ways = _Ways(root, path)
     lanelets_for_vehicles = [row for row in lanelets if row.tags.get("subtype", "") in USES]
-    rows = _with_neighbours(
-        [lane for row in lanelets_for_vehicles if (lane := _bounded_lane(row, ways, faults))],
-        lanelets_for_vehicles,
-    )
-    lanes = source_lanes(_with_successors(rows), faults)
+    bounded = [lane for row in lanelets_for_vehicles if (lane := _bounded_lane(row, ways, faults))]
+    rows = _with_successors(_with_neighbours(bounded, lanelets_for_vehicles))
+    lanes = source_lanes(rows, faults)
     if not lanes:
         raise MapError(path, "holds no usable lanelet for vehicles", REMEDY)
     known = {lane.token for lane in lanes}
-    links, stated = lane_links(_with_successors(rows), lanes, faults)
+    links, stated = lane_links(rows, lanes, faults)
     areas = _areas(lanelets, ways, faults)
     rules = [row for row in relations if row.tags.get("type") == "regulatory_element"]
     return SourceMap(

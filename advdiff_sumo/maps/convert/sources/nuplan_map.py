@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pyproj
 import shapely
-from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.maps.convert.projection import projection_from
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
-from advdiff_sumo.maps.convert.sources.bounded_lanes import LONGEST_M, as_multi
+from advdiff_sumo.maps.convert.sources.bounded_lanes import LONGEST_M, as_multi, largest_valid
 from advdiff_sumo.maps.convert.sources.geopackage import Row, name_of, read_layers, shape_of
 from advdiff_sumo.maps.convert.sources.map_faults import MapFaults
 from advdiff_sumo.maps.convert.sources.source_map import SourceLane, SourceMap, StatedSizes
@@ -151,12 +151,11 @@ def _lane(
     centre = drop_repeats(np.asarray(line.coords)[:, :2])
     if len(centre) < 2:
         return None
-    parts = as_multi(shapely.make_valid(area)) if area is not None else MultiPolygon()
     return SourceLane(
         token=token,
         is_connector=token.startswith("connector_"),
         centre_m=centre,
-        polygon=max(parts.geoms, key=lambda part: part.area, default=None),
+        polygon=largest_valid(area),
         speed_mps=float(speed) if isinstance(speed, int | float) and 0.0 < speed < 100.0 else None,
     )
 

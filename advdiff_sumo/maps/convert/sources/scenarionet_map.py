@@ -15,7 +15,7 @@ from advdiff_sumo.core.arrays import FloatArray
 from advdiff_sumo.core.errors import MapError
 from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert.sources.arcline import drop_repeats
-from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi
+from advdiff_sumo.maps.convert.sources.bounded_lanes import as_multi, largest_valid
 from advdiff_sumo.maps.convert.sources.source_map import LaneUse, SourceLane, SourceMap, StatedSizes
 
 KMH_MPS = 1.0 / 3.6
@@ -122,10 +122,7 @@ def _points(value: Any, shift: FloatArray) -> FloatArray | None:
 
 def _polygon(value: Any, shift: FloatArray) -> Polygon | None:
     ring = _points(value, shift)
-    if ring is None or len(ring) < 3:
-        return None
-    parts = as_multi(shapely.make_valid(Polygon(ring)))
-    return max(parts.geoms, key=lambda part: part.area, default=None)
+    return None if ring is None or len(ring) < 3 else largest_valid(Polygon(ring))
 
 
 def _speed(row: Mapping[str, Any]) -> float | None:

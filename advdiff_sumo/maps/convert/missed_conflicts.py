@@ -23,12 +23,10 @@ from advdiff_sumo.core.polylines import line_length_m
 from advdiff_sumo.maps.convert import polyline
 from advdiff_sumo.maps.convert.annotate import CONNECTION, connection_key
 from advdiff_sumo.maps.convert.layout.clear_stretches import BODIES_M
-from advdiff_sumo.maps.convert.netplan import ConnectionPlan, NetPlan
+from advdiff_sumo.maps.convert.netplan import ConnectionKey, ConnectionPlan, Ends, NetPlan
 from advdiff_sumo.maps.read_net import marked_requests
 
 LONG_M = 12.0  # connections that share a longer stretch run along each other (a crossing at 20° or more is shorter)
-Ends = tuple[str, str]  # from edge and to edge of a connection
-Key = tuple[str, int, str, int]  # from edge and lane, to edge and lane of a connection
 Span = tuple[float, float]  # first and last arc length in m
 
 
@@ -46,7 +44,7 @@ def unseen_conflicts(plan: NetPlan, net: Path) -> list[tuple[Ends, Ends]]:
         for pair in _close_pairs(inside[name]):
             if frozenset(connection.key for connection in pair) not in known:
                 first, second = sorted(pair, key=lambda c: (_turn(c), c.origin, c.target))
-                conflicts.add((_ends(first), _ends(second)))
+                conflicts.add((first.ends, second.ends))
     return sorted(pair for pair in conflicts if pair[::-1] not in conflicts or pair < pair[::-1])
 
 
@@ -73,7 +71,7 @@ def long_conflicts(plan: NetPlan) -> set[frozenset[Ends]]:
     many metres must not have green together. Connections into the same edge merge and are not returned.
     """
     return {
-        frozenset((_ends(first), _ends(second)))
+        frozenset((first.ends, second.ends))
         for first, second in _pairs_apart(plan)
         if _shared_m(first, second) > LONG_M
     }
@@ -118,10 +116,10 @@ def _close_pairs(connections: list[ConnectionPlan]) -> Iterator[tuple[Connection
             yield connections[a], connections[b]
 
 
-def _known_conflicts(net: Path) -> set[frozenset[Key]]:
+def _known_conflicts(net: Path) -> set[frozenset[ConnectionKey]]:
     """Return the pairs of connections that are foes of each other in a written net."""
     root: Any = ElementTree.fromstring(net.read_bytes())
-    links: dict[str, dict[int, Key]] = defaultdict(dict)
+    links: dict[str, dict[int, ConnectionKey]] = defaultdict(dict)
     for row in root.iter("connection"):
         if row.get("via") and not row.attrib["from"].startswith(":"):
             junction, edge, lane = row.attrib["via"][1:].rsplit("_", 2)
@@ -148,13 +146,9 @@ def _turn(connection: ConnectionPlan) -> float:
     return round(float(np.degrees(abs((end - start + np.pi) % (2.0 * np.pi) - np.pi))))
 
 
-def _ends(connection: ConnectionPlan) -> Ends:
-    return connection.origin[0], connection.target[0]
-
-
 def write_conflicts(net: Path, plan: NetPlan) -> int:
     """Write into *net* which part of a connection others share; return the number of conflicting pairs."""
-    shared: dict[Key, dict[Key, Span]] = defaultdict(dict)
+    shared: dict[ConnectionKey, dict[ConnectionKey, Span]] = defaultdict(dict)
     pairs = unseen_pairs(plan)
     for first, second in pairs:
         for connection, foe in ((first, second), (second, first)):
@@ -175,7 +169,7 @@ def write_conflicts(net: Path, plan: NetPlan) -> int:
     return len(pairs)
 
 
-def _conflict_row(foe: Key, span: Span, indent: str) -> str:
+def _conflict_row(foe: ConnectionKey, span: Span, indent: str) -> str:
     origin, from_lane, target, to_lane = foe
     return (
         f'{indent}    <conflict from="{origin}" to="{target}" fromLane="{from_lane}" toLane="{to_lane}" '

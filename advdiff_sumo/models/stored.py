@@ -13,21 +13,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.weights_formats import of_another_format
 from advdiff_sumo.core.whole_file import whole_file
 
 if TYPE_CHECKING:  # arrays can be stored without importing PyTorch
     from torch import Tensor, nn
 
 _HEADER = "advdiff"
-CONTENTS: Mapping[str, str] = {
-    "advdiff-weights-1": "a traffic model",
-    "advdiff-simnet-1": "the network of SimNet",
-    "advdiff-reward-1": "a reward model",
-    "advdiff-failures-1": "what a warm-up learned of encounters",
-    "advdiff-actor-1": "an actor of Adv-RL",
-    "advdiff-training-1": "the checkpoint of a training",
-}
-"""Content of a file, by the format that its header names."""
 
 
 def write_stored(
@@ -68,7 +60,7 @@ def read_stored(
     except (SafetensorError, OSError) as error:
         raise WeightsError(path, f"cannot be read ({error})", remedy) from None
     if header.get("format") != kind:
-        raise _of_another_format(path, kind, str(header.get("format")), remedy)
+        raise of_another_format(path, kind, str(header.get("format")), remedy)
     return header, tensors
 
 
@@ -120,13 +112,3 @@ def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
     except ValueError:
         return {}
     return header if isinstance(header, dict) else {}
-
-
-def _of_another_format(path: Path, kind: str, actual: str, remedy: str) -> WeightsError:
-    """Return the error for a file of format *actual* instead of *kind*; *remedy* is used if a format is unknown."""
-    problem = f"is not of the format {kind}"
-    if actual not in CONTENTS or kind not in CONTENTS:
-        return WeightsError(path, problem, remedy)
-    return WeightsError(
-        path, f"{problem}, it holds {CONTENTS[actual]}", f"name a file that holds {CONTENTS[kind]}"
-    )

@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from advdiff_sumo.core.errors import WeightsError
+from advdiff_sumo.core.weights_formats import CONTENTS
 from advdiff_sumo.models import bundle, failure_predictor, reward, simnet
 from advdiff_sumo.models.bundle import load_bundle
 from advdiff_sumo.models.model_options import ModelOptions
 from advdiff_sumo.models.simnet import load_simnet, new_simnet, save_simnet
-from advdiff_sumo.models.stored import CONTENTS, write_stored
+from advdiff_sumo.models.stored import write_stored
 from advdiff_sumo.traffic.rl import actor
 from advdiff_sumo.training import checkpoint
 

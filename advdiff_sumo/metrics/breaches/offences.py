@@ -92,7 +92,9 @@ def _wrong_side(view: TrafficView, row: int) -> Iterator[Breach]:
     """Yield the first stretch between junctions that it drives against its lane or on one of the opposite direction."""
     tracks, lanes, every = view.tracks, view.place(row, 0, view.tracks.steps), max(1, view.steps(_EVERY_S))
     needed = math.ceil(WRONG_SIDE_S / (every * tracks.dt_s) - _ROUNDING) + 1
-    counts = np.zeros(tracks.steps, dtype=np.int64)  # of the checks up to each instant, the last ones in a row
+    counts = np.zeros(
+        tracks.steps, dtype=np.int64
+    )  # of the checks up to each instant, the last ones in a row
     for k in range(tracks.steps):
         name = lanes.lane[k]
         moving = tracks.valid[row, k] and tracks.speed_mps[row, k] > _MOVING_MPS

@@ -265,8 +265,8 @@ def run_or_print(
 
 def _print_changed_code(folder: Folder) -> None:
     """Print which planners and policies have changed since the episodes in *folder* were run."""
-    from advdiff_sumo.core.plug_in_source import code_digests  # late, as above
     from advdiff_sumo.experiments.bench.cells import made_by
+    from advdiff_sumo.sweep.code_digests import code_digests  # late, as above
 
     tell_changed_code(
         code_digests((*folder.request.targets, *folder.request.policies)), made_by(folder.sweep)

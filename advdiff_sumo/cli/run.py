@@ -208,7 +208,7 @@ def tell_changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> None
         now: versions and digests of the present code.
         before: those of the code with which the folder was begun.
     """
-    from advdiff_sumo.sweep.sweep_files import changed_code  # late, as above
+    from advdiff_sumo.sweep.code_digests import changed_code  # late, as above
 
     names = changed_code(now, before)
     if names:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import inspect
 import re
-import sys
 import sysconfig
 import traceback
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import CodeType
-
-from advdiff_sumo.core.whole_file import sha256_of
 
 _OUR_PACKAGE = str(Path(__file__).parents[1])
 #: Arguments with which a planner's methods are called.
@@ -22,8 +17,6 @@ PLANNER_CALLS = {"start": ("road", "scene", "rng"), "plan": ("road", "scene", "m
 #: A call in the output of Python's fault handler.
 _CALL = re.compile(r'File "([^"]+)", line (\d+) in (\S+)')
 _INSTALLED = {"site-packages", "dist-packages"}
-#: Prefixes of plug-in names that denote a server, not a module.
-_SERVERS = ("exec", "grpc")
 
 
 def call_problem(planner: object) -> str:
@@ -100,27 +93,6 @@ def crashed_at(stack: str) -> str:
     """Return " (FILE, line N, FUNCTION)" from a stack of Python's fault handler, whose innermost call is the first."""
     calls = ((file, line, name) for file, line, name in _CALL.findall(stack) if not _is_library(file))
     return next((f" ({Path(file).name}, line {line}, {name})" for file, line, name in calls), "")
-
-
-def code_digests(names: Iterable[str]) -> dict[str, str]:
-    """Return "package.module:Class" → digest of the module's file, for each of *names* that has such a file.
-
-    Built-ins and servers have none. Modules that the file imports are not included.
-    """
-    files = {name: _file_of(name.partition(":")[0]) for name in sorted(set(names)) if ":" in name}
-    return {name: sha256_of(file)[:16] for name, file in files.items() if file}
-
-
-def _file_of(module: str) -> Path | None:
-    if module in _SERVERS:
-        return None
-    loaded = sys.modules.get(module)
-    try:
-        spec = None if loaded else importlib.util.find_spec(module)
-    except (ImportError, ValueError, AttributeError):
-        return None
-    name = getattr(loaded, "__file__", None) or (spec and spec.origin)
-    return Path(name) if name and Path(name).is_file() else None
 
 
 def _unwrapped(plug_in: object) -> object:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from advdiff_sumo.core.errors import SceneError
-from advdiff_sumo.core.plug_in_source import code_digests
 from advdiff_sumo.data.run_tables import RUN_SETTINGS
 from advdiff_sumo.planners.planner_protocol import Planner
 from advdiff_sumo.sim.run_episodes import Run, RunOptions
+from advdiff_sumo.sweep.code_digests import code_digests
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import plan_run, run_inputs
 from advdiff_sumo.sweep.run_folder import RunFolder, must_have_inputs, read_settings

@@ -75,12 +75,6 @@ def checksum_of(path: Path) -> str:
         return ""
 
 
-def changed_code(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
-    """Return the planners and policies whose code has different digests in *now* and *before*."""
-    earlier = {**before, **before.get("begun_with", {})}
-    return [name for name in now if ":" in name and earlier.get(name, now[name]) != now[name]]
-
-
 def with_earlier(settings: Mapping[str, Any], table: str, before: Mapping[str, Any]) -> dict[str, Any]:
     """Return *settings* with the differing versions of the first writer of the file, under ``begun_with``.
 

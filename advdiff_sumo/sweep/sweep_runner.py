@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from advdiff_sumo.core.plug_in_source import code_digests
 from advdiff_sumo.core.wording import counted
 from advdiff_sumo.sim.run_episodes import versions
+from advdiff_sumo.sweep.code_digests import code_digests
 from advdiff_sumo.sweep.consolidate import consolidate
 from advdiff_sumo.sweep.executors import Executor
 from advdiff_sumo.sweep.job_plan import Job, SweepPlan

@@ -28,6 +28,7 @@ from advdiff_sumo.experiments.margin import EVERY_ATTACK, SCALES, scale_of
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from advdiff_sumo.cli.margin_subject import MarginSubject
     from advdiff_sumo.experiments.margin import Scale, Trial
     from advdiff_sumo.experiments.margin_trials import MarginOf, MarginTrials
     from advdiff_sumo.sim.run_episodes import RunOptions
@@ -49,6 +50,22 @@ _By = Annotated[
         show_default="what the attack has, of cut-in the gap",
     ),
 ]
+_Key = Annotated[
+    str | None,
+    typer.Argument(
+        help="Key of an episode of a sweep, or how it begins; with --run its number. Its target, seed scene and "
+        "attack are taken.",
+        show_default=False,
+    ),
+]
+_Number = Annotated[
+    int | None,
+    typer.Option(min=0, help="Which of the seed's scenes: that of this episode of a run.", show_default="0"),
+]
+_Out = Annotated[
+    Path | None,
+    typer.Option(help="Folder for the results.", show_default="runs/margin-…-sSEED"),
+]
 _Within = Annotated[
     float | None,
     typer.Option(
@@ -61,18 +78,9 @@ _Within = Annotated[
 
 
 def margin(
-    key: Annotated[
-        str | None,
-        typer.Argument(
-            help="Key of an episode of a sweep, or how it begins; with --run its number. Its target, seed scene and "
-            "attack are taken.",
-            show_default=False,
-        ),
-    ] = None,
-    sweep: Annotated[
-        Path | None, typer.Option(help="Folder of the sweep.", show_default="the one in runs/ that has KEY")
-    ] = None,
-    run: Annotated[Path | None, typer.Option(help="Folder of a run, in place of a sweep.")] = None,
+    key: _Key = None,
+    sweep: flags.OfSweep = None,
+    run: flags.OfRun = None,
     target: flags.Target = None,
     net: flags.Net = None,
     attack: _Attack = None,
@@ -80,18 +88,10 @@ def margin(
     demand: flags.Demand = None,
     horizon: flags.Horizon = None,
     seed: flags.Seed = None,
-    number: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Which of the seed's scenes: that of this episode of a run.", show_default="0"
-        ),
-    ] = None,
+    number: _Number = None,
     defect: flags.Defect = None,
     within: _Within = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the results.", show_default="runs/margin-…-sSEED"),
-    ] = None,
+    out: _Out = None,
     config: flags.Config = None,
     assign: flags.Assign = None,
     timeout: Timeout = 300.0,
@@ -131,11 +131,7 @@ def margin(
     options = _without_varied(
         options_given(config, cli_options, policy, assign or [], defect, subject.base), attacks
     )
-    planted = options.target_options.get("defects", ())
-    words = (options.net, options.target, *([planted] if isinstance(planted, str) else planted))
-    place = f"s{options.seed}" + (f"-{subject.number}" if subject.number else "")
-    name = (*map(str, words), place) if key is None else (subject.name, *([target] if target else []))
-    folder = out or named_folder("margin", subject.attack, *name)
+    folder = out or named_folder("margin", subject.attack, *_folder_words(subject, options, target))
     console = terminal(quiet=as_json)
     with same_command_continues(folder), ExitStack() as stack:
         limits = limits_of(stack, timeout, plan_timeout, memory)
@@ -161,6 +157,16 @@ def margin(
     _report(console, options.target, folder, subject.attack, margins, as_json)
     if len(margins) < len(attacks) or not any(result.margin.is_known for result in margins):
         raise typer.Exit(_FAILED)
+
+
+def _folder_words(subject: MarginSubject, options: RunOptions, target: str | None) -> list[str]:
+    """Return the words after which the folder of the results is named; *target* is that of the command line."""
+    if subject.name:
+        return [subject.name, *([target] if target else [])]
+    planted = options.target_options.get("defects", ())
+    defects = [planted] if isinstance(planted, str) else map(str, planted)
+    place = f"s{options.seed}" + (f"-{subject.number}" if subject.number else "")
+    return [options.net, options.target, *defects, place]
 
 
 def _report(

@@ -27,10 +27,8 @@ def replay(
             help="Key of an episode of a sweep, or how it begins; with --run its number.", show_default=False
         ),
     ],
-    sweep: Annotated[
-        Path | None, typer.Option(help="Folder of the sweep.", show_default="the one in runs/ that has it")
-    ] = None,
-    run: Annotated[Path | None, typer.Option(help="Folder of a run, in place of a sweep.")] = None,
+    sweep: flags.OfSweep = None,
+    run: flags.OfRun = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the episode.", show_default="runs/replay-KEY")
     ] = None,

@@ -60,6 +60,10 @@ Assign: TypeAlias = Annotated[
     list[str] | None,
     typer.Option("--set", help="Any other option, as NAME=VALUE: --set sim.control_radius_m=80."),
 ]
+OfSweep: TypeAlias = Annotated[
+    Path | None, typer.Option(help="Folder of the sweep.", show_default="the one in runs/ that has it")
+]
+OfRun: TypeAlias = Annotated[Path | None, typer.Option(help="Folder of a run, in place of a sweep.")]
 Gui: TypeAlias = Annotated[bool, typer.Option("--gui", help="Watch in sumo-gui (needs a display).")]
 Resume: TypeAlias = Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in --out.")]
 RetryFailed: TypeAlias = Annotated[

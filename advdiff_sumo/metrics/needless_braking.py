@@ -64,7 +64,7 @@ def _abrupt_braking(record: EpisodeRecord, view: TrafficView) -> Iterator[tuple[
         return
     braking = mean_braking_mps2(speed, over, view.tracks.dt_s)
     hard = np.flatnonzero(braking > EXPECTED_BRAKE_MPS2)  # NaN compares as False
-    for part in np.split(hard, np.flatnonzero(np.diff(hard) > view.steps(1.0)) + 1):
+    for part in np.split(hard, np.flatnonzero(np.diff(hard) > over) + 1):
         if part.size and speed[part[0]] > _LEAST_SPEED_MPS:
             yield int(part[0]), int(part[-1]) + over
 

@@ -159,8 +159,7 @@ class ReferenceDrivers:
 
     def hardest_braking_mps2(self, model: str, instants: int) -> float:
         """Return the hardest braking of *model* in the first *instants* of a drive from the earliest takeover on."""
-        way = self._route_way
-        _, _, accel, _ = self._simulate(MODELS[model], way, self._corridor_on(way), 0)
+        _, _, accel, _ = self._simulate(MODELS[model], self._route_way, self._route_corridor, 0)
         return max(0.0, -float(accel[:instants].min()))
 
     # --- shared by all drivers ----------------------------------------------------------------------------
@@ -200,6 +199,10 @@ class ReferenceDrivers:
         return way_from(self._record, self._road, self._begin, self._way_length_m)
 
     @cached_property
+    def _route_corridor(self) -> Corridor:
+        return self._corridor_on(self._route_way)
+
+    @cached_property
     def _way_length_m(self) -> float:
         speed = self._tracks.speed_mps[self._record.target, : self._span]
         return float(np.nanmax(np.abs(speed))) * (PERCEPTION_S + 5.0) + 60.0
@@ -214,6 +217,8 @@ class ReferenceDrivers:
 
     @cached_property
     def _recorded_corridor(self) -> Corridor:
+        if self._recorded_way is self._route_way:
+            return self._route_corridor
         return self._corridor_on(self._recorded_way)
 
     def _corridor_on(self, way: OwnWay) -> Corridor:
